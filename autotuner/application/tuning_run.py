@@ -16,10 +16,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from autotuner.application.analysis.analysed import Context
+from autotuner.application.analysis.displacement import displacement_warning
 from autotuner.application.computing.computations import analyse
 from autotuner.application.computing.estimator import estimate_while_running
-from autotuner.application.displacement import displacement_warning
-from autotuner.application.lateness import Lateness
 from autotuner.control.clock.ticker import utc_now
 from autotuner.control.devices.device_gains import device_form
 from autotuner.control.devices.retrying import uncancelled
@@ -31,6 +30,7 @@ from autotuner.core.design import DesignSpec
 from autotuner.core.model.structures import searched
 from autotuner.core.notes import notes_among, warnings_among
 from autotuner.core.recording import Recording
+from autotuner.core.recording.lateness import Lateness
 from autotuner.core.verdict import Outcome, Verdict, aborted, failed
 from autotuner.errors import ComputationError, InputError, ShuttingDownError, TuningStateError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification.learned import LEARNED, by_learned
+from autotuner.core.identification.learned.correction import LEARNED, by_learned
 from autotuner.errors import InputError
 from autotuner_models.literature import METHODS, Method
 from autotuner_models.literature.trial import BIASED, FOPDT, SOPDT

@@ -10,7 +10,7 @@ from autotuner.application.analysis.learned import ARTEFACTS
 from autotuner_models.learned.artefacts import SHIPPED, load
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.learned import LearnedModels
+    from autotuner.core.identification.learned.correction import LearnedModels
 
 
 def provider() -> LearnedModels:

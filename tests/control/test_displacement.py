@@ -5,7 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from autotuner.application.displacement import displacement_warning
+from autotuner.application.analysis.displacement import displacement_warning
 from autotuner.core.model.process import Fopdt, Integrating
 from autotuner.core.recording import Sample
 from autotuner.ports import PV

@@ -2,8 +2,8 @@
 
 import pytest
 
-from autotuner.application.lateness import Lateness
 from autotuner.core.recording import Sample
+from autotuner.core.recording.lateness import Lateness
 
 
 def late(count):

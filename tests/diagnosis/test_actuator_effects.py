@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotuner.core.diagnosis.effects.actuator import (
+from autotuner.core.diagnosis.effects.actuator.friction import (
+    backlash,
+    friction_effects,
+    slipped,
+    stiction,
+    uneven_backlash,
+)
+from autotuner.core.diagnosis.effects.actuator.saturation import clipped, map_levels, rounded, saturations
+from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     actuator_effects,
     quantisation,
     rate_limit,
@@ -16,9 +25,6 @@ from autotuner.core.diagnosis.effects.actuator import (
     taken_over,
     updated_every,
 )
-from autotuner.core.diagnosis.effects.friction import backlash, friction_effects, slipped, stiction, uneven_backlash
-from autotuner.core.diagnosis.effects.saturation import clipped, map_levels, rounded, saturations
-from autotuner.core.diagnosis.effects.static_curve import static_curves
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner_sim import (

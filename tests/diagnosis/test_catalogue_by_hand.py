@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import scipy
 
-from autotuner.core.diagnosis.effects.actuator import rate_limited, taken_over
+from autotuner.core.diagnosis.effects.actuator.friction import backlash, slipped, stiction, turned, turns_of
+from autotuner.core.diagnosis.effects.actuator.saturation import clipped, rounded
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import rate_limited, taken_over
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.disturbance import behind_a_lag
-from autotuner.core.diagnosis.effects.friction import backlash, slipped, stiction, turned, turns_of
-from autotuner.core.diagnosis.effects.nonlinear_losses import excess
-from autotuner.core.diagnosis.effects.saturation import clipped, rounded
-from autotuner.core.diagnosis.effects.shaped_stores import shaped_stores
-from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
-from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds, with_loss, with_loss_at_the_end
+from autotuner.core.diagnosis.effects.process.nonlinear_losses import excess
+from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
+from autotuner.core.diagnosis.effects.process.state_limits import overflowing_stores
+from autotuner.core.diagnosis.effects.process.stepping import stepped, two_speeds, with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.record.dataset import dataset_of, noise_at_rest, one_noise
 from autotuner.core.model.step_responses import Lag, Pair

@@ -11,13 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotuner.core.diagnosis.effects.actuator import quantisation, updated_every
+from autotuner.core.diagnosis.effects.actuator.levels import step_grids
+from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
+    origin_of,
+    step_grids_in_loop,
+    update_grids_in_loop,
+)
+from autotuner.core.diagnosis.effects.actuator.saturation import saturations
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
+from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, one_later, spread_of, update_grids
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
-from autotuner.core.diagnosis.effects.levels import step_grids
-from autotuner.core.diagnosis.effects.position_in_loop import origin_of, step_grids_in_loop, update_grids_in_loop
-from autotuner.core.diagnosis.effects.process import process_effects
-from autotuner.core.diagnosis.effects.saturation import saturations
-from autotuner.core.diagnosis.effects.update_jitter import latenesses, one_later, spread_of, update_grids
+from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import fit, linearised, without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thinned

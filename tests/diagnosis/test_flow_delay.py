@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.effects.flow_delay import carried, flow_delay
+from autotuner.core.diagnosis.effects.actuator.flow_delay import carried, flow_delay
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.effects import EffectPlugin, check_effect
 from autotuner_sim import PlugFlow

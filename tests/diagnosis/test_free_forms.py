@@ -7,9 +7,9 @@ import pytest
 import scipy
 
 from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
-from autotuner.core.diagnosis.effects.process_friction import _course
-from autotuner.core.diagnosis.effects.static_curve import static_curves
+from autotuner.core.diagnosis.effects.process.friction import _course
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotuner.core.diagnosis.effects.update_jitter import latenesses, uneven_updates
+from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, uneven_updates
 from autotuner.core.diagnosis.extended.extended_model import Extended, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of

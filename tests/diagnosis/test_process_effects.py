@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner.core.diagnosis.effects.declared import declared_effects, lagged
-from autotuner.core.diagnosis.effects.process import process_effects, third_lag, times_time
-from autotuner.core.diagnosis.effects.process_friction import process_friction
-from autotuner.core.diagnosis.effects.stepping import averaged
+from autotuner.core.diagnosis.effects.process.friction import process_friction
+from autotuner.core.diagnosis.effects.process.stepping import averaged
+from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag, times_time
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
-from autotuner.core.diagnosis.effects.shaped_stores import shaped_stores
-from autotuner.core.diagnosis.effects.state_limits import lags_of, overflowing_stores
+from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
+from autotuner.core.diagnosis.effects.process.state_limits import lags_of, overflowing_stores
 from autotuner.core.diagnosis.extended.base import base_of, declared_base, has_sensible_sizes, is_physical
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.extended.fit_context import bench_of

@@ -10,7 +10,7 @@ import pytest
 
 from autotuner import Recording, diagnose, identify
 from autotuner.core.diagnosis.effects import catalogue
-from autotuner.core.diagnosis.effects.levels import _likeliest
+from autotuner.core.diagnosis.effects.actuator.levels import _likeliest
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.extended_model import Fitted, closest_first, without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of

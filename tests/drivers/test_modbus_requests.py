@@ -3,10 +3,9 @@
 import pytest
 
 from autotuner.errors import DeviceRefusedError
-from autotuner_drivers.modbus.exchange import Account
 from autotuner_drivers.modbus.lines import TcpLine
 from autotuner_drivers.modbus.link import LinkSettings, ModbusLink
-from autotuner_drivers.modbus.protocol import Request
+from autotuner_drivers.modbus.protocol import Account, Request
 
 BITS_OF_CD_01 = (1, 0, 1, 1, 0, 0, 1, 1, 1, 0)
 BITS_OF_CD_6B_05 = [int(bit) for byte in (0xCD, 0x6B, 0x05) for bit in reversed(f"{byte:08b}")]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotuner.core.identification.learned import by_learned
+from autotuner.core.identification.learned.correction import by_learned
 from autotuner.core.identification.limit_cycle.from_cycle import Known, by_closed_form, by_describing_function
 from autotuner.core.signals import detector as detectors
 from autotuner.core.signals.detector import Detector

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from autotuner.application.analysis import learned as registry
-from autotuner.core.identification.learned import LearnedModels
+from autotuner.core.identification.learned.correction import LearnedModels
 from autotuner.errors import ConfigurationError
 from autotuner_models.learned import artefacts
 from autotuner_models.learned.artefacts import ARRAYS, MANIFEST, OBJECTS, SHIPPED, load, load_objects, read_manifest

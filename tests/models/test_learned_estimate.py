@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autotuner.core.identification import identify
-from autotuner.core.identification.learned import by_learned
+from autotuner.core.identification.learned.correction import by_learned
 from autotuner.core.recording import Recording
 from autotuner_models.learned.artefacts import SHIPPED, load
 from autotuner_models.learned.draw import STRUCTURES, rows_of

@@ -49,7 +49,7 @@ def fresh(monkeypatch):
 
 @pytest.mark.parametrize("family", ["tree", "linear", pytest.param("forest", marks=pytest.mark.long)])
 def test_a_family_is_saved_with_its_range_and_used_again(folders, family, record):
-    from autotuner.core.identification.learned import by_learned
+    from autotuner.core.identification.learned.correction import by_learned
     from autotuner_sim import Fopdt
 
     manifest = json.loads((folders(family) / "manifest.json").read_text())

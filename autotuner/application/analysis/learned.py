@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.control.devices.plugins import announced
 from autotuner.core.identification import RunningModel, running_learned
-from autotuner.core.identification.learned import NOT_LOADED, LearnedModels
+from autotuner.core.identification.learned.correction import NOT_LOADED, LearnedModels
 from autotuner.errors import AutotunerError, ConfigurationError
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from autotuner.core.identification.controller_inverse import controller_of, is_i
 from autotuner.core.identification.crossover_uncertainty import TOO_VAGUE, response_error
 from autotuner.core.identification.frequency_points import frequency_points
 from autotuner.core.identification.frozen_samples import stuck_rows
-from autotuner.core.identification.learned import BESIDE, LEARNED, by_learned
+from autotuner.core.identification.learned.correction import BESIDE, LEARNED, by_learned
 from autotuner.core.identification.limit_cycle.from_cycle import by_closed_form, by_describing_function, static_gain
 from autotuner.core.identification.limit_cycle.online_relay import controller_beside
 from autotuner.core.identification.measured_disturbances import answering, moving, unnamed
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from autotuner.core.estimation.data import Data
     from autotuner.core.identification.frequency_points import FrequencyPoint
     from autotuner.core.identification.frozen_samples import Stuck
-    from autotuner.core.identification.learned import LearnedModels
+    from autotuner.core.identification.learned.correction import LearnedModels
     from autotuner.core.identification.limit_cycle.from_cycle import Known
     from autotuner.core.identification.limit_cycle.online_relay import Beside
     from autotuner.core.model.arrays import BoolArray

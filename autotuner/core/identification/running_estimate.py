@@ -20,7 +20,7 @@ from autotuner.core.estimation.least_squares import fit
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.identification.crossover_uncertainty import expected_loss
 from autotuner.core.identification.held_out import wander_at_rest
-from autotuner.core.identification.learned import LEARNED, by_learned
+from autotuner.core.identification.learned.correction import LEARNED, by_learned
 from autotuner.core.identification.limit_cycle.relay_harmonics import process_sign
 from autotuner.core.identification.result import RunningModel
 from autotuner.core.model.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
@@ -30,7 +30,7 @@ from autotuner.core.signals.noise import resolution
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from autotuner.core.identification.learned import LearnedModels
+    from autotuner.core.identification.learned.correction import LearnedModels
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 

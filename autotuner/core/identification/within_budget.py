@@ -15,8 +15,8 @@ from autotuner.core.estimation.data import TimeSpentError
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.experiment.parallel_controller import relay_part
 from autotuner.core.identification import advice
-from autotuner.core.identification.gain_by_record import gain_by_record
-from autotuner.core.identification.learned import BESIDE, GAIN_UNKNOWN, LEARNED, LearnedModels, by_learned
+from autotuner.core.identification.learned.correction import BESIDE, GAIN_UNKNOWN, LEARNED, LearnedModels, by_learned
+from autotuner.core.identification.learned.gain_by_record import gain_by_record
 from autotuner.core.identification.limit_cycle.relay_harmonics import process_sign
 from autotuner.core.identification.procedure import identify
 from autotuner.core.identification.result import Fit, Identification, refuse, share_unexplained

@@ -30,7 +30,7 @@ from rich.table import Table
 from autotuner.core.estimation.data import GainPrior, data_of
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.identification import measure_limit_cycle
-from autotuner.core.identification.learned import by_learned
+from autotuner.core.identification.learned.correction import by_learned
 from autotuner.core.identification.limit_cycle.from_cycle import Known, by_closed_form, by_describing_function
 from autotuner.core.identification.limit_cycle.harmonic_start import COORDINATES
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER

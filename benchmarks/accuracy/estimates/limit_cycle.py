@@ -14,7 +14,7 @@ import warnings
 
 import numpy as np
 
-from autotuner.core.identification.learned import by_learned
+from autotuner.core.identification.learned.correction import by_learned
 from autotuner.core.identification.limit_cycle.from_cycle import Known, by_closed_form, by_describing_function
 from autotuner.core.recording import Recording
 from autotuner.core.signals.limit_cycle import measure_limit_cycle

@@ -45,7 +45,7 @@ from autotuner.core.design.rules.ultimate import UltimatePoint
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.estimation.simulation import misfit, simulate_fit
 from autotuner.core.identification import identify, measure_limit_cycle, running_learned, running_model
-from autotuner.core.identification.learned import LearnedModels, shape_features
+from autotuner.core.identification.learned.correction import LearnedModels, shape_features
 from autotuner.core.identification.limit_cycle.from_cycle import by_describing_function, static_gain
 from autotuner.core.identification.limit_cycle.relay_harmonics import wave_of
 from autotuner.core.model.process import model_from_dict

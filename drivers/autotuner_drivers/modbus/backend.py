@@ -42,10 +42,9 @@ import contextlib
 from typing import TYPE_CHECKING, Final
 
 from autotuner.errors import DeviceRefusedError, DriverError, LinkError
-from autotuner_drivers.modbus.exchange import Account
 from autotuner_drivers.modbus.lines import read_line
 from autotuner_drivers.modbus.link import LINKS, LinkSettings, ModbusLink
-from autotuner_drivers.modbus.protocol import READ_CODES, WRITE_CODES, Request, read_request
+from autotuner_drivers.modbus.protocol import READ_CODES, WRITE_CODES, Account, Request, read_request
 from autotuner_drivers.modbus.register_map import HEARTBEAT, ReadRequest, read_map
 from autotuner_drivers.options import Options, check_names
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from autotuner.errors import DeviceRefusedError, DriverError
-from autotuner_drivers.modbus.exchange import Account, Exchange
 from autotuner_drivers.modbus.joint_requests import Joint, JointRequests
+from autotuner_drivers.modbus.protocol import Account, Exchange
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -31,11 +31,10 @@ from pymodbus.exceptions import ModbusException, ModbusIOException
 
 from autotuner.errors import DeviceTimeoutError, DriverError
 from autotuner_drivers.links import REPEAT, GarbledAnswerError
-from autotuner_drivers.modbus.exchange import Account, Exchange
 from autotuner_drivers.modbus.joint_reads import JointReads
 from autotuner_drivers.modbus.open_line import PORTS, OpenLine
 from autotuner_drivers.modbus.overlap import FRAMER, HEADER_BYTES, Overlap
-from autotuner_drivers.modbus.protocol import driver_error, not_open, refusal
+from autotuner_drivers.modbus.protocol import Account, Exchange, driver_error, not_open, refusal
 from autotuner_drivers.modbus.register_map import DeviceLimits
 from autotuner_drivers.shared_lines import SharedLines
 

@@ -1,7 +1,12 @@
-"""Modbus messages: requests, the shape of their answers (V1.1b3, section 6), exceptions as errors of the port."""
+"""Modbus messages: requests, the shape of their answers (V1.1b3, section 6), exceptions as errors of the port.
+
+An exchange is a request with its outcome; an account is what one loop knows of its exchanges.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pymodbus.client.mixin import ModbusClientMixin
@@ -172,3 +177,60 @@ def refusal(code: int, device: str) -> DriverError:
 def not_open(device: str) -> LinkError:
     """Return the error of a call to a device that was not opened, or was closed."""
     return LinkError(f"{device} is not open", remedy="Open the backend first.")
+
+
+@dataclass(slots=True, eq=False)
+class Exchange:
+    """A request and its outcome: `words` of the answer, or an `error`.
+
+    Attributes
+    ----------
+    request : Request
+        The request.
+    retries : int
+        Largest number of repetitions.
+    words : tuple of int
+        The words, or the bits, of the answer.
+    error : DriverError or None
+        Why there is no answer.
+    moment_s : float
+        Time of execution by the device, on the clock of the event loop, s.
+    repeated : int
+        Number of repetitions.
+    """
+
+    request: Request
+    retries: int
+    words: tuple[int, ...] = ()
+    error: DriverError | None = None
+    moment_s: float = math.nan
+    repeated: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class Account:
+    """Account of the requests of one loop.
+
+    Attributes
+    ----------
+    moment_s : float
+        Time of the last exchange that read the PV or wrote, on the clock of the event loop, s.
+    repeated : int
+        Number of repeated requests.
+    """
+
+    moment_s: float = math.nan
+    repeated: int = 0
+
+    def take(self, exchange: Exchange, *, last: bool = True) -> None:
+        """Record an exchange; the `last` exchange of a call sets the moment."""
+        self.repeated += exchange.repeated
+        if last and exchange.error is None:
+            self.moment_s = exchange.moment_s
+
+    def words_of(self, exchange: Exchange) -> tuple[int, ...]:
+        """Record an exchange, and return its words or raise its error."""
+        self.take(exchange)
+        if exchange.error is not None:
+            raise exchange.error
+        return exchange.words

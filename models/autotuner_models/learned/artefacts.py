@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from autotuner.core.identification.learned import Correction, Domain, LearnedModels, Networks
+from autotuner.core.identification.learned.correction import Correction, Domain, LearnedModels, Networks
 from autotuner.errors import ConfigurationError
 from autotuner_models.learned.training import NETWORK, Regressors
 

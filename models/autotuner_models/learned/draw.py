@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from autotuner.core.identification.learned import features, shape_features
+from autotuner.core.identification.learned.correction import features, shape_features
 from autotuner.core.identification.limit_cycle.harmonic_start import start
 from autotuner.core.identification.limit_cycle.relay_harmonics import RelayWaves, cycles_of, waves
 from autotuner_models.learned.experiments import Processes, Relays, run

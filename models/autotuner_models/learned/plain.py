@@ -1,6 +1,6 @@
 """The shipped networks without NumPy: for a process that must answer at once, or a machine that has Python alone.
 
-    W2 relu(W1 relu(W0 x + b0) + b1) + b2        as in `autotuner.core.identification.learned`
+    W2 relu(W1 relu(W0 x + b0) + b1) + b2        as in `autotuner.core.identification.learned.correction`
 
 Invariant: it imports nothing but the standard library, and of that neither `typing` nor `pathlib`, which take
 as long as all the rest; it reads the same file of arrays (see `artefacts`), and believes it on the same condition: that

@@ -18,7 +18,14 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from autotuner.core.identification.learned import CLASSES, LOG_NORMAL, Correction, Domain, LearnedModels, Networks
+from autotuner.core.identification.learned.correction import (
+    CLASSES,
+    LOG_NORMAL,
+    Correction,
+    Domain,
+    LearnedModels,
+    Networks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.identification.learned import features
+from autotuner.core.identification.learned.correction import features
 from autotuner.core.identification.limit_cycle.harmonic_start import start
 from autotuner_models.learned.draw import run_known
 from autotuner_models.learned.experiments import Processes
@@ -24,7 +24,7 @@ from autotuner_models.thesis.regressors import other_rows
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from autotuner.core.identification.learned import LearnedModels
+    from autotuner.core.identification.learned.correction import LearnedModels
     from autotuner_models.thesis.data_sets import Plants
 
     Numbers = NDArray[np.float64]

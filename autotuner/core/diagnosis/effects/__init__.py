@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator import actuator_effects
+from autotuner.core.diagnosis.effects.actuator.flow_delay import flow_delay
+from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
+from autotuner.core.diagnosis.effects.actuator.levels import step_grids
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_effects
+from autotuner.core.diagnosis.effects.actuator.update_jitter import update_grids
 from autotuner.core.diagnosis.effects.declared import declared_effects
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
-from autotuner.core.diagnosis.effects.flow_delay import flow_delay
 from autotuner.core.diagnosis.effects.free_forms import free_forms
-from autotuner.core.diagnosis.effects.friction import friction_effects
 from autotuner.core.diagnosis.effects.jumps import jump_moments
-from autotuner.core.diagnosis.effects.levels import step_grids
-from autotuner.core.diagnosis.effects.process import process_effects, third_lag
-from autotuner.core.diagnosis.effects.update_jitter import update_grids
+from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.effect_plugins import installed_effects
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator import quantisation, rate_limit, updated_every
-from autotuner.core.diagnosis.effects.friction import friction_effects
+from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, rate_limit, updated_every
 from autotuner.core.diagnosis.search.judge import VISIBLE
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.estimation.linear_least_squares import solve_linear

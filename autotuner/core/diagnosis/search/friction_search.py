@@ -23,8 +23,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.friction import LARGEST_LEFT, SLIPS, SMALLEST_IN_LOOP, TURNING, plain_friction
-from autotuner.core.diagnosis.effects.process_friction import process_friction
+from autotuner.core.diagnosis.effects.actuator.friction import (
+    LARGEST_LEFT,
+    SLIPS,
+    SMALLEST_IN_LOOP,
+    TURNING,
+    plain_friction,
+)
+from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import (
     Extended,

@@ -14,8 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator import quantisation, updated_every
-from autotuner.core.diagnosis.effects.position_in_loop import origin_of, step_grids_in_loop, update_grids_in_loop
+from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
+    origin_of,
+    step_grids_in_loop,
+    update_grids_in_loop,
+)
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, refined, within

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.shaped_stores import shaped_stores
-from autotuner.core.diagnosis.effects.state_limits import STORES
+from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
+from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, is_shown, weigh

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects import catalogue
-from autotuner.core.diagnosis.effects.actuator import updated_every
-from autotuner.core.diagnosis.effects.friction import SLIPS
+from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_every
+from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.effects.jumps import plain_jump
-from autotuner.core.diagnosis.effects.static_curve import static_curves
-from autotuner.core.diagnosis.effects.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.simulation import simulate_fit
-from autotuner.core.identification.learned import SURE, by_wave, sigma_of
+from autotuner.core.identification.learned.correction import SURE, by_wave, sigma_of
 from autotuner.core.identification.limit_cycle.relay_harmonics import wave_of
 from autotuner.core.signals.noise import inflation
 
 if TYPE_CHECKING:
-    from autotuner.core.identification.learned import LearnedModels
+    from autotuner.core.identification.learned.correction import LearnedModels
     from autotuner.core.identification.limit_cycle.relay_harmonics import RelayWaves
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.recording import Recording

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.stepping import with_loss, with_loss_at_the_end
+from autotuner.core.diagnosis.effects.process.stepping import with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 

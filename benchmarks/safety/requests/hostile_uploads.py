@@ -1,6 +1,6 @@
 """What nobody should upload: is it refused, how soon, and how much memory does it take meanwhile?
 
-    python benchmarks/safety/hostile_uploads.py [--only WORD]
+    python benchmarks/safety/requests/hostile_uploads.py [--only WORD]
 
 A service in a process of its own, and each body sent to it piece by piece as fast as it takes it; beside it one loop is
 tuned at 10 Hz. Told are the answer, the time until it came, the largest memory of the service and of its workers

@@ -1,6 +1,6 @@
 """Input that nobody made on purpose: requests, recordings and configurations of chance, against a served process.
 
-    python benchmarks/safety/fuzz.py [--requests 10000] [--csv 1000] [--toml 1000] [--seed N]
+    python benchmarks/safety/requests/fuzz.py [--requests 10000] [--csv 1000] [--toml 1000] [--seed N]
 
 Requests are made from the OpenAPI document: each operation, with values that its schemas allow, others,
 and bytes that are no JSON. Recordings are relay tests with coloured noise, wild values, other separators and damage;
@@ -312,7 +312,7 @@ def damaged(text, chance):
 
 def configurations(count, chance):
     """Check configurations; return exit codes and what was neither accepted nor refused."""
-    root, codes, broken = Path(__file__).parents[2], Counter(), []
+    root, codes, broken = Path(__file__).parents[3], Counter(), []
     examples = [
         file.read_text() for folder in ("examples", "docker") for file in sorted((root / folder).rglob("*.toml"))
     ]

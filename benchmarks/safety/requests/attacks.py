@@ -1,6 +1,6 @@
 """Attacks on a served process that tunes a loop of a foreign PLC: what a client sees, and what the loop feels.
 
-    python benchmarks/safety/attacks.py --peer PLC.py [--case NAME ...]
+    python benchmarks/safety/requests/attacks.py --peer PLC.py [--case NAME ...]
 
 The PLC is a program of its own whose Modbus side shares no code with ours: it takes `--tcp`, `--control`, `--plant`,
 `--noise` and `--u0`, and answers `get` on its control port with one JSON line. Each case starts a service of its own on

@@ -1,6 +1,6 @@
 """Wrong command lines, generated from the options of every command: what each is answered, and how fast.
 
-    python benchmarks/safety/wrong_options.py [--count N] [--seed N]
+    python benchmarks/safety/requests/wrong_options.py [--count N] [--seed N]
 
 Each is run as a process of its own, with a loop whose functions would write a file: a device that was touched. Printed
 are how many lines name field, value and remedy, how many touched the device, and the times from start to exit, which

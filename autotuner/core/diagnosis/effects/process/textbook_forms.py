@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.declared import lagged
-from autotuner.core.diagnosis.effects.nonlinear_losses import losses
-from autotuner.core.diagnosis.effects.state_limits import overflowing_stores
-from autotuner.core.diagnosis.effects.stepping import stepped, two_speeds
+from autotuner.core.diagnosis.effects.process.nonlinear_losses import losses
+from autotuner.core.diagnosis.effects.process.state_limits import overflowing_stores
+from autotuner.core.diagnosis.effects.process.stepping import stepped, two_speeds
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
 from autotuner.core.model.zoh_input import HeldInput, unit_step

@@ -1,6 +1,6 @@
 """Whatever is asked of the API: thousands of cases made from its document, sent to the whole application in memory.
 
-    python benchmarks/safety/api_cases.py [--cases N] [--seed N]
+    python benchmarks/safety/requests/api_cases.py [--cases N] [--seed N]
 
 For every operation, cases with what the document allows and with what it does not; paths with names that exist and with
 any. Each answer must be one that the document describes, in status, headers, kind and content, and none a 5xx other
