@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from autotuner.application.tuning_run import TuningRun
     from autotuner.control.compute_port import ComputePool
     from autotuner.control.operations.crash_recovery import Recovered
-    from autotuner.control.operations.messages import Closing, Report, Seen
+    from autotuner.control.operations.messages import Closing, ExperimentState, Report
     from autotuner.control.records.lease_record import Before
     from autotuner.control.reporting.events import Event
     from autotuner.core.recording import Sample
@@ -41,24 +41,24 @@ AGAIN = "Start the tuning again; if it happens again, check the log."
 
 
 @dataclass(frozen=True, slots=True)
-class SeenExperiment:
+class RemoteExperiment:
     """The latest report of the experiment; see `autotuner.control.driving.controller_port.Conducted`."""
 
-    seen: Seen
+    state: ExperimentState
     post: Callable[[object], None]
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the experiment."""
-        return self.seen.warnings
+        return self.state.warnings
 
     def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
         """Send the process the uncertainty of a model."""
         self.post(Inform(model_error, expected_loss, integrates))
 
-    def settings_seen(self) -> dict[str, object]:
+    def settings_so_far(self) -> dict[str, object]:
         """Return the settings for the recording, JSON-ready."""
-        return dict(self.seen.settings)
+        return dict(self.state.settings)
 
 
 class RemoteController:
@@ -78,7 +78,7 @@ class RemoteController:
 
     def __init__(self, tuning: TuningRun, operations: Operations, processes: LoopProcesses, pool: ComputePool) -> None:
         self.samples: list[Sample] = []
-        self.experiment: SeenExperiment | None = None
+        self.experiment: RemoteExperiment | None = None
         self.before: Before | None = None
         self.restored: bool | None = None
         self._tuning, self._operations = tuning, operations
@@ -117,8 +117,8 @@ class RemoteController:
     def _take(self, report: Report) -> None:
         self._heard_s = asyncio.get_running_loop().time()
         self.before = report.before
-        if report.seen is not None:
-            self.experiment = SeenExperiment(report.seen, self._remote.send)
+        if report.state is not None:
+            self.experiment = RemoteExperiment(report.state, self._remote.send)
         for event in report.events:
             if isinstance(event, SampleTaken):
                 self.samples.append(event.sample)

@@ -301,7 +301,7 @@ class TuningRun:
     def recording(self) -> Recording:
         """Return the recording so far; raise `RecordingError` before the second sample."""
         experiment = None if self.controller is None else self.controller.experiment
-        return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_seen())
+        return Recording.from_samples(list(self.samples), {} if experiment is None else experiment.settings_so_far())
 
     async def conduct(
         self, loop: LoopTable, backend: Backend, pool: ComputePool, conductor: MakeConductor = here

@@ -138,8 +138,8 @@ def diagnose_file(
     try:
         recording = Recording.from_csv_bytes(content, str(file), columns)
         part = recording if window is None else recording.window(*window)
-        tell = partial(_progress, file) if sys.stderr.isatty() else None
-        return diagnose(part, model, time_limit_s=time_limit_s, tell=tell)
+        on_progress = partial(_progress, file) if sys.stderr.isatty() else None
+        return diagnose(part, model, time_limit_s=time_limit_s, on_progress=on_progress)
     except AutotunerError as error:
         return error
 

@@ -65,7 +65,7 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
     There process and gains are reported already; they are repeated only where the effects change them.
     """
     look = LOOKS[diagnosis.verdict]
-    said = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
+    summary = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
     notes = [Words(f"{note.rstrip('.')}.") for note in diagnosis.notes]
     effects = [Section("Effects", _effects(diagnosis, units))] if diagnosis.effects else []
     drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces, units)]
@@ -73,7 +73,7 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
     changed = diagnosis.gains.get("before") != diagnosis.gains.get("after")
     models = [_models(diagnosis, units), _gains(diagnosis, units)] if changed or not of_a_tuning else []
     return [
-        Section("Effects missing in the model", [*said, *notes]),
+        Section("Effects missing in the model", [*summary, *notes]),
         *effects,
         *_missing(diagnosis),
         Section("Before and after", [_errors(diagnosis, units), *models]),

@@ -88,12 +88,12 @@ def conducted(rest, seed):
         loop.output = output = command.output
         samples.append(Sample(t, pv, output))
         if command.estimate is not None and command.estimate.half_period >= 2:
-            seen: Any = experiment.settings_seen()
+            seen: Any = experiment.settings_so_far()
             model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
             experiment.inform(math.inf if model is None else model.relative_error)
     if experiment.verdict is not None:
         return None
-    return Recording.from_samples(samples, experiment.settings_seen())
+    return Recording.from_samples(samples, experiment.settings_so_far())
 
 
 def judged(recording):

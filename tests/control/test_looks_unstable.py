@@ -28,7 +28,7 @@ def relay_record(plant, *loads):
         device.output = output = experiment.step(Sample(t, pv, output)).output
         samples.append(Sample(t, pv, output))
     assert experiment.verdict is None
-    return Recording.from_samples(samples, settings=experiment.settings_seen())
+    return Recording.from_samples(samples, settings=experiment.settings_so_far())
 
 
 @pytest.mark.parametrize(

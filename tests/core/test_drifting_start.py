@@ -33,11 +33,11 @@ def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000):
         pv = loop.measure()
         command = experiment.step(Sample(t, pv, output))
         if command.phase is Phase.RESTORE:
-            return experiment, samples and Recording.from_samples(samples, experiment.settings_seen())
+            return experiment, samples and Recording.from_samples(samples, experiment.settings_so_far())
         loop.output = output = command.output
         samples.append(Sample(t, pv, output))
         if command.estimate is not None and command.estimate.half_period >= 2:
-            seen = experiment.settings_seen()
+            seen = experiment.settings_so_far()
             model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
             experiment.inform(np.inf if model is None else model.relative_error)
     raise AssertionError("the experiment did not end")

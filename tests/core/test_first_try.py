@@ -40,7 +40,7 @@ def test_each_kind_of_plant_is_tuned_at_the_first_try(plant):
         samples.append(Sample(t, pv, output))
     assert experiment.phase is Phase.RESTORE
     assert experiment.verdict is None
-    analysis = identified(Recording.from_samples(samples, experiment.settings_seen()))
+    analysis = identified(Recording.from_samples(samples, experiment.settings_so_far()))
     assert analysis.gains is not None
     assert analysis.gains.margins.stable
     assert pytest.approx(plant.K, rel=0.05) == analysis.identification.model.K

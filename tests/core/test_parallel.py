@@ -36,7 +36,7 @@ def conduct(settings, output0=40.0, noise=0.0, plant=None):
         command = experiment.step(Sample(t, pv, output))
         if command.phase is Phase.RESTORE:
             assert command.output == output0
-            return experiment, Recording.from_samples(samples, experiment.settings_seen()) if samples else None
+            return experiment, Recording.from_samples(samples, experiment.settings_so_far()) if samples else None
         loop.output = output = command.output
         samples.append(Sample(t, pv, output))
     raise AssertionError("the experiment did not end")
@@ -99,7 +99,7 @@ def test_what_was_added_up_comes_apart():
     rest = recording.pv[recording.t <= start].mean()
     bias = 40.0 + PROPORTIONAL.Kp * (rest - recording.pv[0])
     expected = bias - 40.0 + PROPORTIONAL.Kp * (recording.pv[0] - recording.pv[rows])
-    assert set(relay) == {experiment.settings_seen()["relay_low"], experiment.settings_seen()["relay_high"]}
+    assert set(relay) == {experiment.settings_so_far()["relay_low"], experiment.settings_so_far()["relay_high"]}
     assert recording.output[rows] - relay == pytest.approx(expected, abs=1e-9)
     assert part.gains == PROPORTIONAL
 

@@ -5,7 +5,7 @@ import pytest
 
 from autotuner.core.recording import Sample
 from autotuner.core.safety.sensor_watch import FrozenWatch, JumpWatch
-from autotuner.core.safety.watches import Seen
+from autotuner.core.safety.watches import SampleContext
 
 FEWEST = 20
 
@@ -13,7 +13,7 @@ FEWEST = 20
 def first_trip(watch, pvs, outputs, phase=""):
     """The row of the first verdict, or None."""
     for k, (pv, output) in enumerate(zip(pvs, outputs, strict=True)):
-        if verdict := watch.check(Seen(Sample(float(k), float(pv), float(output)), phase=phase)):
+        if verdict := watch.check(SampleContext(Sample(float(k), float(pv), float(output)), phase=phase)):
             assert verdict.outcome == "aborted"
             assert verdict.remedy
             return k
@@ -176,7 +176,7 @@ def test_after_a_gap_the_pv_may_be_elsewhere():
     watch = JumpWatch()
     pvs, outputs = wave(200), relay(200)
     rows = [k for k in range(200) if not 150 <= k < 165]
-    verdicts = [watch.check(Seen(Sample(float(k), float(pvs[k]), float(outputs[k])))) for k in rows]
+    verdicts = [watch.check(SampleContext(Sample(float(k), float(pvs[k]), float(outputs[k])))) for k in rows]
     assert not any(verdicts)
 
 

@@ -32,7 +32,7 @@ def conduct(wild):
 @pytest.mark.parametrize("first", range(200, 320, 10))
 def test_a_wild_reading_does_not_move_the_relay_away(first):
     experiment, _ = conduct({first, first + 67})
-    seen = experiment.settings_seen()
+    seen = experiment.settings_so_far()
     assert abs(seen["relay_reference"] - 80.0) < 5.0
     assert abs(0.5 * (seen["relay_low"] + seen["relay_high"]) - 40.0) < 10.0
 

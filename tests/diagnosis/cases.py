@@ -40,7 +40,7 @@ def tuning_record(plant, sample_s=0.25, sigma=0.0, seed=0, amplitude=AMPLITUDE, 
             break
         t += sample_s
     assert experiment.verdict is None, experiment.verdict
-    return Recording.from_samples(samples, experiment.settings_seen())
+    return Recording.from_samples(samples, experiment.settings_so_far())
 
 
 def swing_of_pv(plant, sample_s=0.25, amplitude=AMPLITUDE):

@@ -222,7 +222,7 @@ def records(draw):
 @settings(max_examples=50, deadline=None)
 def test_fit_selection_and_test_never_meet_and_leave_nothing_out(record):
     parts = parts_of(record)
-    seen = dataset_of(parts.seen)
+    seen = dataset_of(parts.before_test)
     count = len(record)
     tested = np.zeros(count, dtype=int)
     tested[parts.tested] = 1
@@ -246,20 +246,20 @@ def test_the_test_part_is_the_last_fifth_or_three_tenths_of_the_tail(record):
         assert parts.test_from_s == pytest.approx(t[parts.tested.start] - t[0])
     else:
         assert parts.tested.start == parts.tested.stop == t.size
-        assert parts.seen is parts.whole
+        assert parts.before_test is parts.whole
 
 
 @pytest.mark.parametrize(("count", "tested"), [(25, 5), (24, 0), (26, 5), (100, 20)])
 def test_a_record_too_short_for_three_parts_has_no_test_part(count, tested):
     """Five samples are tested at least, and twenty seen."""
     parts = parts_of(record_of(course(count)))
-    assert len(parts.whole) - len(parts.seen) == tested
+    assert len(parts.whole) - len(parts.before_test) == tested
 
 
 @pytest.mark.parametrize("tail", [math.nan, "late", -5.0, 1e9])
 def test_a_tail_outside_of_the_record_is_none(tail):
     record = record_of(course(400), segments={"tail": tail})
-    assert len(parts_of(record).seen) == len(parts_of(record_of(course(400))).seen)
+    assert len(parts_of(record).before_test) == len(parts_of(record_of(course(400))).before_test)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
@@ -278,8 +278,8 @@ def test_without_a_tail_three_quarters_are_fitted():
 def test_the_whole_is_about_the_values_of_the_part_that_was_searched():
     record = record_of(course(500) + 70.0)
     parts = parts_of(record)
-    seen = dataset_of(parts.seen)
+    seen = dataset_of(parts.before_test)
     whole = parts.whole_case(seen)
-    assert np.array_equal(whole.data.pv[: len(parts.seen)], seen.data.pv)
+    assert np.array_equal(whole.data.pv[: len(parts.before_test)], seen.data.pv)
     assert np.allclose(whole.data.pv + seen.pv0, record.pv)
     assert whole.span_s == seen.span_s < whole.data.span_s

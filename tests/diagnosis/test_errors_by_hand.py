@@ -62,7 +62,7 @@ def seen_of(pv, output=None):
     """The parts of a record, and the context of what is seen of it."""
     output = 40.0 + np.repeat(np.resize([0.0, 5.0, -5.0], N // 50), 50)[: pv.size] if output is None else output
     parts = parts_of(Recording(T[: pv.size], output, pv))
-    return parts, bench_of(dataset_of(parts.seen))
+    return parts, bench_of(dataset_of(parts.before_test))
 
 
 def model_of(context, pv, residual, **told):

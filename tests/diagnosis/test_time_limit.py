@@ -34,7 +34,7 @@ def after(questions):
 
 def test_without_a_limit_the_play_explains_the_record_and_the_reader_hears_of_it():
     heard = []
-    answer = diagnose(with_play(2.0), tell=heard.append)
+    answer = diagnose(with_play(2.0), on_progress=heard.append)
     assert (answer.verdict, answer.effects[0].name) == ("explained", "backlash")
     assert heard
     assert all("times the noise" in sentence for sentence in heard)

@@ -25,7 +25,7 @@ def test_a_fresh_line_is_free():
 
 def test_after_an_answer_the_device_gets_its_pause():
     watch = sent_at(10.0)
-    watch.heard(ANSWER, 10.2)
+    watch.received(ANSWER, 10.2)
     watch.answered(10.2)
     assert watch.ready_s() == 10.2 + 0.01
     assert not watch.garbled(20.0)
@@ -37,37 +37,37 @@ def test_an_owed_answer_blocks_the_line_until_patience_ends():
 
 def test_a_late_answer_frees_the_line_at_once():
     watch = sent_at(10.0)
-    assert watch.heard(ANSWER, 10.8) == ANSWER
+    assert watch.received(ANSWER, 10.8) == ANSWER
     assert watch.ready_s() == 10.8 + 0.05
 
 
 def test_part_of_an_answer_frees_nothing():
     watch = sent_at(10.0)
-    watch.heard(ANSWER[:-1], 10.8)
+    watch.received(ANSWER[:-1], 10.8)
     assert watch.ready_s() == 11.0
-    watch.heard(ANSWER[:-1], 10.99)
+    watch.received(ANSWER[:-1], 10.99)
     assert watch.ready_s() == 10.99 + 0.05
 
 
 def test_an_answer_in_pieces_is_counted_once():
     watch = sent_at(10.0)
     for cut in range(1, len(ANSWER)):
-        watch.heard(ANSWER[:cut], 10.1)
+        watch.received(ANSWER[:cut], 10.1)
         assert watch.ready_s() == 11.0
-    watch.heard(ANSWER, 10.2)
+    watch.received(ANSWER, 10.2)
     assert watch.ready_s() == 10.25
 
 
 def test_bytes_that_the_library_threw_away_still_count():
     watch = sent_at(10.0)
-    watch.heard(b"\xff" * 5, 10.1)
-    watch.heard(b"\xee\xee", 10.1)
+    watch.received(b"\xff" * 5, 10.1)
+    watch.received(b"\xee\xee", 10.1)
     assert watch.garbled(10.15)
 
 
 def test_garbled_is_told_after_the_silence_and_not_before():
     watch = sent_at(10.0)
-    watch.heard(bytes(7), 10.1)
+    watch.received(bytes(7), 10.1)
     assert not watch.garbled(10.149)
     assert watch.garbled(10.15)
 
@@ -78,9 +78,9 @@ def test_silence_alone_is_not_garbled():
 
 def test_with_echo_an_answer_is_owed_behind_it():
     watch = sent_at(10.0, LineSettings(patience_s=1.0, echo=True))
-    assert watch.heard(REQUEST, 10.01) == b""
+    assert watch.received(REQUEST, 10.01) == b""
     assert watch.ready_s() == 11.0
-    assert watch.heard(REQUEST + ANSWER, 10.1) == ANSWER
+    assert watch.received(REQUEST + ANSWER, 10.1) == ANSWER
     assert watch.ready_s() == 10.15
 
 
@@ -111,6 +111,6 @@ def test_no_answer_within_patience_ever_meets_another_request(lateness):
         watch.sent(REQUEST, now)
         arrives = now + max_lateness_s
         assert watch.ready_s() >= arrives
-        watch.heard(ANSWER, arrives)
+        watch.received(ANSWER, arrives)
         assert arrives < watch.ready_s() <= now + 1.0 + TIMING.gap_s
         now = arrives

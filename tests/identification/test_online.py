@@ -47,7 +47,7 @@ def conduct(settings, plant=PLANT, noise=0.0, seed=1, sensors=()):
         command = experiment.step(Sample(t, pv, output))
         if command.phase is Phase.RESTORE:
             assert experiment.verdict is None
-            return Recording.from_samples(samples, experiment.settings_seen())
+            return Recording.from_samples(samples, experiment.settings_so_far())
         loop.output = output = command.output
         samples.append(Sample(t, pv, output))
 

@@ -162,8 +162,8 @@ class Analysis:
         unchecked = "the check was left out: dead-band, friction and the like could not be seen"
         missed = self.error.warning if self.error else unchecked
         gains = self.gains.warnings if self.gains else ()
-        said = (*self.identification.warnings, *((missed,) if missed else ()), *self._lacking(), *gains)
-        return settled(said) if self.gains_hold else said
+        warnings = (*self.identification.warnings, *((missed,) if missed else ()), *self._lacking(), *gains)
+        return settled(warnings) if self.gains_hold else warnings
 
     @property
     def warnings(self) -> tuple[str, ...]:

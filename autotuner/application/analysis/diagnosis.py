@@ -26,9 +26,9 @@ def diagnose(
     recording: Recording,
     model: ProcessModel | None = None,
     *,
-    asked: Design = NOMINAL,
+    requested: Design = NOMINAL,
     time_limit_s: float | None = None,
-    tell: Callable[[str], None] | None = None,
+    on_progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Return the effects that a recording shows and a model lacks: their sizes, evidence, and influence on the gains.
 
@@ -38,12 +38,12 @@ def diagnose(
         Output and PV: a tuning's own record, a step test, a historian's CSV.
     model : ProcessModel, optional
         The declared model; without it the process is identified from the same record.
-    asked : Design
+    requested : Design
         Design of the gains before and after; by default those of the goal ``balanced``.
     time_limit_s : float, optional
         Time limit of the search, s; by default 20 s of processor time. After it, the verdict is ``unexplained`` with
         the best effects so far. The process alone and the report, one or two seconds, are computed in any case.
-    tell : callable, optional
+    on_progress : callable, optional
         Called with a sentence on the progress of the search.
 
     Raises
@@ -56,4 +56,4 @@ def diagnose(
     if time_limit_s is not None and not time_limit_s > 0.0:
         raise InputError("is no time", field="time_limit_s", value=time_limit_s, remedy="Give seconds, or no limit.")
     is_spent = processor_time_spent(USUAL_LIMIT_MS) if time_limit_s is None else time_spent(time_limit_s)
-    return search(recording, model, asked=asked, is_spent=is_spent, tell=tell)
+    return search(recording, model, requested=requested, is_spent=is_spent, on_progress=on_progress)

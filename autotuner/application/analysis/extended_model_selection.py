@@ -77,14 +77,16 @@ def halves_the_error(diagnosis: Diagnosis) -> bool:
 
 
 def _is_known(diagnosis: Diagnosis) -> bool:
-    met = _met(diagnosis)
-    if met is None or met.covariance is None or not np.all(np.isfinite(met.covariance)):
+    view = _view_of(diagnosis)
+    if view is None or view.covariance is None or not np.all(np.isfinite(view.covariance)):
         return False
-    error = math.sqrt(max(float(met.covariance[0, 0]), 0.0))
-    return NORMAL_95 * error < GAIN_KNOWN * abs(met.model.K) and response_error(met.model, met.covariance) <= TOO_VAGUE
+    error = math.sqrt(max(float(view.covariance[0, 0]), 0.0))
+    return (
+        NORMAL_95 * error < GAIN_KNOWN * abs(view.model.K) and response_error(view.model, view.covariance) <= TOO_VAGUE
+    )
 
 
-def _met(diagnosis: Diagnosis) -> ControllerView | None:
+def _view_of(diagnosis: Diagnosis) -> ControllerView | None:
     """Return the process as a controller sees it; None where no model represents it."""
     process = diagnosis.process
     return None if process is None else controller_view(process, diagnosis.covariance, diagnosis.effects)
@@ -95,12 +97,12 @@ def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis)
 
     The warnings about the other model do not hold for this one, so they are removed.
     """
-    met = _met(diagnosis)
-    assert met is not None  # noqa: S101 - it was asked before
-    estimate = _estimate(met, diagnosis)
+    view = _view_of(diagnosis)
+    assert view is not None  # noqa: S101 - it was asked before
+    estimate = _estimate(view, diagnosis)
     return replace(
         identification,
-        model=met.model,
+        model=view.model,
         estimates={METHOD: estimate, **identification.estimates},
         recommended=METHOD,
         fit=Fit(
@@ -109,23 +111,23 @@ def with_diagnosed_process(identification: Identification, diagnosis: Diagnosis)
             diagnosis.error["fitted"].noise,
             resolution=identification.fit.resolution,
         ),
-        warnings=(_summary(identification, diagnosis, met),),
-        verdict=found(met.model, estimate.fit_percent),
+        warnings=(_summary(identification, diagnosis, view),),
+        verdict=found(view.model, estimate.fit_percent),
     )
 
 
-def _estimate(met: ControllerView, diagnosis: Diagnosis) -> Estimate:
-    assert met.covariance is not None  # noqa: S101 - asked before
-    errors = np.sqrt(np.maximum(np.diag(met.covariance), 0.0)).tolist()
-    values: Mapping[str, float] = met.model.parameters()
+def _estimate(view: ControllerView, diagnosis: Diagnosis) -> Estimate:
+    assert view.covariance is not None  # noqa: S101 - asked before
+    errors = np.sqrt(np.maximum(np.diag(view.covariance), 0.0)).tolist()
+    values: Mapping[str, float] = view.model.parameters()
     return Estimate(
         METHOD,
-        met.model,
+        view.model,
         standard_error=dict(zip(values, errors, strict=True)),
         interval95={
             n: (v - NORMAL_95 * s, v + NORMAL_95 * s) for (n, v), s in zip(values.items(), errors, strict=True)
         },
-        covariance=met.covariance,
+        covariance=view.covariance,
         rmse=diagnosis.error["fitted"].after,
         fit_percent=_fit_percent(diagnosis),
         evidence={"effects": [effect.to_dict() for effect in diagnosis.effects]},
@@ -144,14 +146,14 @@ def are_in_the_gains(diagnosis: Diagnosis) -> bool:
     return all(effect.name in IN_THE_GAINS for effect in diagnosis.effects)
 
 
-def _summary(identification: Identification, diagnosis: Diagnosis, met: ControllerView) -> str:
+def _summary(identification: Identification, diagnosis: Diagnosis, view: ControllerView) -> str:
     """Return the note on the origin of this process."""
     names = " and ".join(effect.name for effect in diagnosis.effects)
     held = diagnosis.error["held_out"]
     parts = (
         f"the process alone ({identification.structure}) does not explain the record; with {names} the error on the "
         f"part that was not fitted falls from {held.before:.3g} to {held.after:.3g}: process and gains are those of "
-        "that extended model" + "".join(f"; {parts}" for parts in met.said)
+        "that extended model" + "".join(f"; {parts}" for parts in view.changes)
     )
     if diagnosis.disturbances_alone:
         return Note(parts)

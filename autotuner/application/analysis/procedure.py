@@ -89,7 +89,7 @@ def analyse(
         return predicted(replace(analysis, identification=annotated), recording)
     requested = _design_for(analysis.identification, spec, recording.sample_interval_s, context)
     try:
-        diagnosis = diagnose(recording, asked=requested)
+        diagnosis = diagnose(recording, requested=requested)
     except InputError:
         return predicted(analysis, recording)
     return predicted(_reconsidered(replace(analysis, diagnosis=diagnosis), recording, spec), recording)

@@ -22,7 +22,7 @@ class Conducted(Protocol):
     def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
         """Take the uncertainty of a model that explains the record so far, see `Experiment.inform`."""
 
-    def settings_seen(self) -> dict[str, object]:
+    def settings_so_far(self) -> dict[str, object]:
         """Return the settings for the recording, JSON-ready."""
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.control.driving.controller import Controller
-from autotuner.control.operations.messages import Closing, Report, Seen
+from autotuner.control.operations.messages import Closing, ExperimentState, Report
 from autotuner.control.records.lease_record import Kind
 from autotuner.control.reporting.events import SampleTaken
 from autotuner.ports import Carried
@@ -39,7 +39,7 @@ class Reporter:
         self._deliver = deliver
         self._events: list[Event] = []
         self._outputs: list[tuple[int, float]] = []
-        self._seen: Seen | None = None
+        self._published: ExperimentState | None = None
         self._sent_s = 0.0
 
     def take(self, event: Event) -> None:
@@ -57,10 +57,10 @@ class Reporter:
         """Publish changes."""
         self._send(self._news())
 
-    def _send(self, seen: Seen | None) -> None:
+    def _send(self, state: ExperimentState | None) -> None:
         events, self._events = self._events, []
         before = self.controller.before if self.controller else None
-        self._deliver(Report(events, self._corrected(), before, seen))
+        self._deliver(Report(events, self._corrected(), before, state))
 
     def _corrected(self) -> list[tuple[int, Sample]]:
         """Return the samples whose output differs from the published one after a read-back."""
@@ -73,15 +73,15 @@ class Reporter:
     def _samples(self) -> list[Sample]:
         return self.controller.samples if self.controller else []
 
-    def _news(self) -> Seen | None:
+    def _news(self) -> ExperimentState | None:
         experiment = self.controller.experiment if self.controller else None
         if experiment is None:
             return None
-        seen = Seen(tuple(experiment.warnings), experiment.settings_seen())
-        if seen == self._seen:
+        state = ExperimentState(tuple(experiment.warnings), experiment.settings_so_far())
+        if state == self._published:
             return None
-        self._seen = seen
-        return seen
+        self._published = state
+        return state
 
 
 @dataclass(frozen=True, slots=True)

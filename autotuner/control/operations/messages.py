@@ -126,7 +126,7 @@ class Done(NamedTuple):
     journal_trouble: str | None = None
 
 
-class Seen(NamedTuple):
+class ExperimentState(NamedTuple):
     """Published state of an experiment besides its samples."""
 
     warnings: tuple[str, ...]
@@ -137,13 +137,13 @@ class Report(NamedTuple):
     """Changes of an experiment.
 
     `events` are in their order; `corrected` are samples that differ from what was published, by their place in the
-    record; `seen` is None where nothing of it has changed.
+    record; `state` is None where nothing of it has changed.
     """
 
     events: list[Event]
     corrected: list[tuple[int, Sample]]
     before: Before | None
-    seen: Seen | None
+    state: ExperimentState | None
 
 
 class Logged(NamedTuple):

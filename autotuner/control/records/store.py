@@ -105,14 +105,14 @@ class Store:
         self._connection: sqlite3.Connection | None = None
         self._thread: ThreadPoolExecutor | None = None
         self._pending: list[tuple[Sequence[Row], bool, Future[None]]] = []
-        self._gate, self._life = threading.Lock(), threading.Lock()
+        self._gate, self._lifecycle = threading.Lock(), threading.Lock()
 
     def open(self) -> None:
         """Open the store for writing; each call is to be followed by one of `close`."""
         if self._process != os.getpid():  # a forked process has neither the threads nor the locks of its parent
             self._connection, self._thread, self._users, self._pending = None, None, 0, []
-            self._gate, self._life, self._process = threading.Lock(), threading.Lock(), os.getpid()
-        with self._life:  # a last user that closes in another thread takes the connection along
+            self._gate, self._lifecycle, self._process = threading.Lock(), threading.Lock(), os.getpid()
+        with self._lifecycle:  # a last user that closes in another thread takes the connection along
             if self._connection is None:
                 with _as_os_error():
                     self._connection = self.connect()
@@ -122,7 +122,7 @@ class Store:
 
     def close(self) -> None:
         """Close it after its last user; pending rows are written first."""
-        with self._life:
+        with self._lifecycle:
             self._users -= 1
             if self._users > 0:
                 return

@@ -49,7 +49,7 @@ def check_effect(plugin: EffectPlugin) -> list[str]:
     if not forms:
         wrong.append("make returns no form for a record of steps")
     for form in forms:
-        wrong += [f"{plugin.name} {form.form}: {said}".replace(" :", ":") for said in _of_form(plugin, form, base)]
+        wrong += [f"{plugin.name} {form.form}: {fault}".replace(" :", ":") for fault in _of_form(plugin, form, base)]
     return wrong
 
 

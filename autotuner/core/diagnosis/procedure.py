@@ -65,9 +65,9 @@ def diagnose(
     recording: Recording,
     model: ProcessModel | None = None,
     *,
-    asked: Design = NOMINAL,
+    requested: Design = NOMINAL,
     is_spent: Callable[[], bool] | None = None,
-    tell: Callable[[str], None] | None = None,
+    on_progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Return the effects that a recording shows and a model lacks: their sizes, evidence, and influence on the gains.
 
@@ -77,12 +77,12 @@ def diagnose(
         Output and PV: a tuning's own record, a step test, a historian's CSV.
     model : ProcessModel, optional
         The declared model; without it the process is identified from the same record.
-    asked : Design
+    requested : Design
         Design of the gains before and after; by default those of the goal ``balanced``.
     is_spent : callable, optional
         Returns whether the time limit of the search has passed. The search then ends as `unexplained`, with the best so
         far; the process alone and the report are computed in any case.
-    tell : callable, optional
+    on_progress : callable, optional
         Called with a sentence on the progress of the search.
 
     Returns
@@ -98,30 +98,32 @@ def diagnose(
     if verdict := advice.unusable(recording):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     parts = parts_of(condensed(without_gaps(recording), MOST_SAMPLES))
-    if verdict := advice.unusable(parts.seen):
+    if verdict := advice.unusable(parts.before_test):
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
-    require_not_swapped(parts.seen)
-    seen, first = replace(_Seen.of(parts.seen, model), budget=Budget(is_spent, tell)).with_input_between()
-    seen, first = seen.with_beginning(first)
-    if seen.smooth:
+    require_not_swapped(parts.before_test)
+    record, first = replace(
+        _Record.of(parts.before_test, model), budget=Budget(is_spent, on_progress)
+    ).with_input_between()
+    record, first = record.with_beginning(first)
+    if record.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
-    context, base, found, spikes = seen.traced(*first)
+    context, base, found, spikes = record.traced(*first)
     share = _share_that_decides(context, found)
     if share > 0.0 and not context.dataset.budget.spent:
-        more = replace(seen, tail_share=share)
+        more = replace(record, tail_share=share)
         again = more.traced(*more.based())
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]) and _same_sign(base, again[1]):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
-    controller = None if context.dataset.tuned else controller_of(parts.seen)
+    controller = None if context.dataset.tuned else controller_of(parts.before_test)
     if any(is_inverse(f.process(), controller, _zero_s(f)) for f in (base.best, found.chosen)):
         verdict = advice.controller_instead()
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
-    return reported(context, found, SensorRecord(spikes, seen.stands, seen.grid), base, model, parts, asked)
+    return reported(context, found, SensorRecord(spikes, record.stands, record.grid), base, model, parts, requested)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _Record:
     """Properties of a recording before the first fit."""
 
     used: Recording
@@ -135,7 +137,7 @@ class _Seen:
     budget: Budget = UNLIMITED
 
     @classmethod
-    def of(cls, used: Recording, model: ProcessModel | None) -> _Seen:
+    def of(cls, used: Recording, model: ProcessModel | None) -> _Record:
         stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
         return cls(used, model, process_sign(used), stands, grid_of(used.pv))
 
@@ -149,7 +151,7 @@ class _Seen:
         context = self.context(spikes)
         return context, _base(context, self.sign, self.model)
 
-    def with_input_between(self) -> tuple[_Seen, tuple[FitContext, Base]]:
+    def with_input_between(self) -> tuple[_Record, tuple[FitContext, Base]]:
         """Return the same, with the process alone; with an output that moves smoothly where that is far closer.
 
         An output that is held for a sample comes half a sample later on average, and no dead time is negative.
@@ -162,7 +164,7 @@ class _Seen:
         between = smooth.based()
         return (smooth, between) if between[1].best.rms < FAR_CLOSER * first.best.rms else (self, (context, first))
 
-    def with_beginning(self, first: tuple[FitContext, Base]) -> tuple[_Seen, tuple[FitContext, Base]]:
+    def with_beginning(self, first: tuple[FitContext, Base]) -> tuple[_Record, tuple[FitContext, Base]]:
         """Return the same that begins at rest, or cold, where that is closer on both parts than from any state.
 
         A free initial state takes up what a further column of the record explains.
@@ -223,8 +225,8 @@ class _Seen:
         """Return whether the sensor alone accounts for the residual: quantisation, or uneven sampling."""
         if self.grid is not None:
             return explained_by_grid(context, base.best, self.grid)
-        seen = jitter_seen(context, base.best) if base.held is None else None
-        return seen is not None and _foretells(context, base.best, *seen)
+        jitter = jitter_seen(context, base.best) if base.held is None else None
+        return jitter is not None and _foretells(context, base.best, *jitter)
 
 
 def _foretells(context: FitContext, candidate: Fitted, spread_s: float, noise: float) -> bool:

@@ -116,7 +116,7 @@ class Experiment:
         """Record that output and mode are restored."""
         self.phase = next_phase(self.phase, PhaseEvent.RESTORED)
 
-    def settings_seen(self) -> dict[str, object]:
+    def settings_so_far(self) -> dict[str, object]:
         """Return the settings of this experiment for its recording, JSON-ready.
 
         `segments` names the parts of the record with their start times, s; `direct` is the action that agreed with the
@@ -176,7 +176,7 @@ class Experiment:
         if step.segment is not None:
             self.segments[step.segment] = sample.t
         if isinstance(stage, Oscillation):
-            self._relay_seen = stage.settings_seen()
+            self._relay_seen = stage.settings_so_far()
         self.warnings += [step.warning] if step.warning else []
         if step.verdict is not None:
             self.stop(step.verdict)

@@ -129,7 +129,7 @@ def warnings_about(
 ) -> tuple[str, ...]:
     """Return the messages about a fit, most important first."""
     best = choice.best
-    said = [
+    notes = [
         *_unexplained(best, recording, step),
         *_vague(estimate),
         *_locked(estimate),
@@ -143,19 +143,19 @@ def warnings_about(
         *_stuck(stuck, best),
         *_beyond_the_record(best, recording),
     ]
-    return (*recording.notes, *said)
+    return (*recording.notes, *notes)
 
 
 def _vague(estimate: Estimate) -> list[str]:
     """Return the parameters whose 95 % interval is wide."""
     assert estimate.model is not None  # noqa: S101 - warnings are about a model
-    said: list[str] = []
+    notes: list[str] = []
     for name, value in estimate.model.parameters().items():
         low, high = estimate.interval95.get(name, (value, value))
         if (high - low) / 2.0 > VAGUE * abs(value):
             text = f"this record leaves {name} uncertain: {value:.4g}, 95 % interval {low:.4g} to {high:.4g}"
-            said.append(Note(text))
-    return said
+            notes.append(Note(text))
+    return notes
 
 
 def _locked(estimate: Estimate) -> list[str]:
@@ -168,7 +168,7 @@ def _locked(estimate: Estimate) -> list[str]:
         return []
     relative = estimate.covariance / np.outer(x, x)
     error = np.sqrt(np.diag(relative))
-    said: list[str] = []
+    notes: list[str] = []
     for i in range(x.size):
         for j in range(i):
             r = relative[i, j] / (error[i] * error[j]) if error[i] * error[j] > 0.0 else 0.0
@@ -182,8 +182,8 @@ def _locked(estimate: Estimate) -> list[str]:
                 f"{names[j]} and {names[i]} cannot be separated from this record: {names[j]}{symbol}{names[i]} is "
                 f"{combined:.4g} +- {abs(combined) * spread:.2g}"
             )
-            said.append(Note(text))
-    return said
+            notes.append(Note(text))
+    return notes
 
 
 def _near_ties(choice: Choice) -> list[str]:
@@ -204,12 +204,12 @@ def _coloured(best: Candidate, estimate: Estimate, step: float, recording: Recor
                 "intervals reckon with"
             )
         ]
-    said = (
+    notes = (
         f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
         f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
     )
     small = best.rmse <= SMALL_MISFIT * float(np.std(recording.pv))
-    return [Note(said) if small else Doubt(said)]
+    return [Note(notes) if small else Doubt(notes)]
 
 
 def odd_output_before(fitted: Candidate, recording: Recording) -> float | None:
@@ -253,8 +253,8 @@ def _fed_back(recording: Recording) -> list[str]:
 def _outliers(best: Candidate) -> list[str]:
     if not best.spikes:
         return []
-    said = f"{best.spikes} samples were left out as outliers"
-    return [Note(said) if best.spikes <= FEW_OUTLIERS * best.solution.problem.data.t.size else said]
+    notes = f"{best.spikes} samples were left out as outliers"
+    return [Note(notes) if best.spikes <= FEW_OUTLIERS * best.solution.problem.data.t.size else notes]
 
 
 def _moments(best: Candidate) -> list[str]:
@@ -277,17 +277,17 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
     if other is None or other.model.structure != best.model.structure:
         return []
     values, errors = other.model.parameters(), other.uncertainty(profile=False).standard_error
-    said = [
+    notes = [
         f"{name} {values[name]:.4g} +- {errors[name]:.2g}"
         for name, value in best.model.parameters().items()
         if name != "D" and abs(values[name] - value) > MATTERS * max(estimate.standard_error[name], SMALL * abs(value))
     ]
-    if not said:
+    if not notes:
         return []
     return [
         (
             "this record does not show whether the output changed at its samples or between them; if it was sampled as "
-            f"the PV was, {', '.join(said)}: identify with moments `between`, or record when each output was written"
+            f"the PV was, {', '.join(notes)}: identify with moments `between`, or record when each output was written"
         )
     ]
 
@@ -298,7 +298,7 @@ def _stuck(stuck: Stuck | None, best: Candidate) -> list[str]:
     if best.white and best.counts[stuck.rows].all():
         return []  # explained with these samples: the process rests there
     left_out = bool((~best.counts & stuck.rows).any())
-    return [*stuck.said, *(["those samples were left out"] if left_out else [])]
+    return [*stuck.notes, *(["those samples were left out"] if left_out else [])]
 
 
 def unexplained_share(best: Candidate, recording: Recording, step: float) -> float:
@@ -323,8 +323,8 @@ def _beyond_the_record(best: Candidate, recording: Recording) -> list[str]:
     """Return whether the dynamics are slower than the record or faster than its samples."""
     slowest = max(best.solution.start.shape, default=0.0)
     if slowest > recording.duration_s:
-        said = f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"
-        return [Note(said)]
+        notes = f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"
+        return [Note(notes)]
     if 0.0 < slowest < recording.sample_interval_s:
         return [
             Note(

@@ -39,12 +39,12 @@ class Stuck:
     ----------
     rows : array of bool, shape (N,)
         Which they are.
-    said : tuple of str
+    notes : tuple of str
         What there is to say of them.
     """
 
     rows: BoolArray
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def stuck_rows(recording: Recording, resolution: float) -> Stuck | None:
@@ -57,12 +57,12 @@ def stuck_rows(recording: Recording, resolution: float) -> Stuck | None:
     resolution : float
         Smallest step of the PV.
     """
-    rows, said = np.zeros(len(recording), dtype=np.bool_), []
+    rows, notes = np.zeros(len(recording), dtype=np.bool_), []
     for more, words in (*_frozen(recording), *_at_ends(recording, resolution)):
         if not rows[more].all():
             rows |= more
-            said.append(words)
-    return Stuck(rows, tuple(said)) if said else None
+            notes.append(words)
+    return Stuck(rows, tuple(notes)) if notes else None
 
 
 def _at_ends(recording: Recording, resolution: float) -> list[tuple[BoolArray, str]]:

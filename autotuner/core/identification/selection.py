@@ -122,14 +122,14 @@ def choose(
         if _ruled_out(kind, candidates, structure):
             continue
         candidate = fit(data, kind, prior, resolution)
-        if candidate is not None and _is_asked(candidate, structure):
+        if candidate is not None and _is_requested(candidate, structure):
             candidates.append(candidate)
     if structure == "auto":
         candidates = [one for one in candidates if one.structure not in HIGHER_ORDER or one.white]
     return _moments_weighed(ranked(candidates), structure, prior, moments) if candidates else None
 
 
-def _is_asked(candidate: Candidate, structure: str) -> bool:
+def _is_requested(candidate: Candidate, structure: str) -> bool:
     # Two nearly equal lags are fitted as a pair, which is of third order too.
     either = {candidate.structure.name} if candidate.structure is THIRD_ORDER else set()
     return structure in {"auto", candidate.model.structure, *either}
@@ -143,7 +143,7 @@ def _moments_weighed(choice: Choice, structure: str, prior: GainPrior, moments: 
     if moments == AUTO and promise(solution) <= -UNDECIDED:
         return choice
     fixed = [candidate for candidate, _ in choice.ranking]
-    free = [other for candidate in fixed if (other := freed(candidate, prior)) and _is_asked(other, structure)]
+    free = [other for candidate in fixed if (other := freed(candidate, prior)) and _is_requested(other, structure)]
     if not free:
         return choice
     both = ranked([*fixed, *free])
@@ -190,7 +190,7 @@ FAR_BETTER = 0.5
 
 
 def beside_the_record(
-    structure: str, asked: Choice, data: Data, prior: GainPrior, step: float
+    structure: str, requested: Choice, data: Data, prior: GainPrior, step: float
 ) -> tuple[Verdict | None, tuple[str, ...]]:
     """Return a refusal where a requested structure has no gain, or one of the wrong sign; else the notes.
 
@@ -198,7 +198,7 @@ def beside_the_record(
     ----------
     structure : str
         The requested structure, or ``auto``.
-    asked : Choice
+    requested : Choice
         Its fit. Where its residual is noise in all samples, nothing else is fitted.
     data : Data
         The recording.
@@ -207,7 +207,7 @@ def beside_the_record(
     step : float
         Smallest step of the PV.
     """
-    best = asked.best
+    best = requested.best
     everything = best.white and bool(best.counts.all())
     shown = None if structure == "auto" or everything else _shown(data, prior, step)
     if shown is None:
@@ -223,31 +223,31 @@ def _shown(data: Data, prior: GainPrior, step: float) -> Candidate | None:
     return None if auto is None or not auto.best.is_shown() else auto.best
 
 
-def _outranks(shown: Candidate, asked: Candidate) -> bool:
+def _outranks(shown: Candidate, requested: Candidate) -> bool:
     """Return whether the criterion, which pays for samples left out, separates the two."""
-    both = ranked([shown, asked])
+    both = ranked([shown, requested])
     return both.best is shown and (len(both.ranking) == 1 or both.ranking[1][1] > NEAR_TIE)
 
 
-def _refusal(asked: Candidate, shown: Candidate) -> Verdict:
-    K, left_out = asked.model.K, int(asked.counts.size - asked.counts.sum())
-    given = "shows no answer" if not asked.is_shown() else f"gives K {K:.4g}, of the wrong sign"
-    without = f" with {left_out} of {asked.counts.size} samples left out" if left_out else ""
+def _refusal(requested: Candidate, shown: Candidate) -> Verdict:
+    K, left_out = requested.model.K, int(requested.counts.size - requested.counts.sum())
+    given = "shows no answer" if not requested.is_shown() else f"gives K {K:.4g}, of the wrong sign"
+    without = f" with {left_out} of {requested.counts.size} samples left out" if left_out else ""
     return refused(
         "structure_does_not_fit",
-        f"as {asked.model.structure} the recording {given}: what it shows is {_told(shown)}, with a residual of "
-        f"{shown.rmse:.3g} instead of {asked.rmse:.3g}{without}",
+        f"as {requested.model.structure} the recording {given}: what it shows is {_described(shown)}, with a residual "
+        f"of {shown.rmse:.3g} instead of {requested.rmse:.3g}{without}",
         f"Leave the structure to auto, or ask for {shown.model.structure}.",
     )
 
 
-def _warning(asked: Candidate, shown: Candidate) -> str:
+def _warning(requested: Candidate, shown: Candidate) -> str:
     return (
-        f"the recording shows {_told(shown)}, with a residual of {shown.rmse:.3g}: {asked.model.structure}, which was "
-        f"asked for, leaves {asked.rmse:.3g}"
+        f"the recording shows {_described(shown)}, with a residual of {shown.rmse:.3g}: {requested.model.structure}, "
+        f"which was requested, leaves {requested.rmse:.3g}"
     )
 
 
-def _told(shown: Candidate) -> str:
+def _described(shown: Candidate) -> str:
     parameters = ", ".join(f"{name} {value:.4g}" for name, value in shown.model.parameters().items())
     return f"{shown.model.structure} ({parameters})"

@@ -102,11 +102,11 @@ def learned_alone(recording: Recording, estimate: Estimate) -> Identification:
         return Identification(None, cycle, {LEARNED: estimate}, None, verdict, Fit(noise_sigma=sigma), recording.notes)
     rmse, percent = misfit(recording.pv, simulate_fit(estimate.model, recording))
     covariance = np.diag([estimate.standard_error.get(name, 0.0) ** 2 for name in estimate.model.parameters()])
-    told = replace(estimate, covariance=covariance, rmse=rmse, fit_percent=percent)
+    calibrated = replace(estimate, covariance=covariance, rmse=rmse, fit_percent=percent)
     return Identification(
         model=estimate.model,
         limit_cycle=cycle,
-        estimates={LEARNED: told},
+        estimates={LEARNED: calibrated},
         recommended=LEARNED,
         verdict=_found(estimate.model, percent),
         fit=Fit(rmse, percent, sigma, share_unexplained(rmse, sigma, recording.pv), quantisation(recording.pv)),

@@ -86,7 +86,7 @@ def findings(recording: Recording, expected: Expected) -> Findings:
         return Findings("at_rest", message, "", missed, sigma, None, {}, None, {}, ())
     found = _found(recording, expected.model) if _moved(recording, sigma) else None
     notes = () if found else ("the set point did not move enough to show K, T and D",)
-    window = _Seen(recording, steady, expected, sigma, missed, oscillation, found, notes)
+    window = _JudgedWindow(recording, steady, expected, sigma, missed, oscillation, found, notes)
     ways = (window.sticking, window.changed, window.hunting, window.disturbed)
     return next((finding for check in ways if (finding := check()) is not None), window.fine())
 
@@ -112,7 +112,7 @@ def control_error(recording: Recording) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _JudgedWindow:
     recording: Recording
     steady: Recording
     expected: Expected

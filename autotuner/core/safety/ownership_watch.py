@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from autotuner.core.verdict import aborted
 
 if TYPE_CHECKING:
-    from autotuner.core.safety.watches import Seen
+    from autotuner.core.safety.watches import SampleContext
     from autotuner.core.verdict import Verdict
 
 MODE_CHANGED = "mode_changed"
@@ -68,9 +68,9 @@ class ModeWatch:
         self._first_s: float | None = None
         self._manual_seen = False
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when the device's own controller drives the output, or may do so."""
-        t, auto = seen.sample.t, seen.auto
+        t, auto = context.sample.t, context.auto
         self._first_s = t if self._first_s is None else self._first_s
         if auto is None:
             return None
@@ -121,9 +121,9 @@ class SetPointWatch:
         self._readings = 0
         self._sure = False
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when the set point was changed by others."""
-        sample = seen.sample
+        sample = context.sample
         if math.isfinite(sample.pv):
             self._take(sample.pv)
         if not math.isfinite(sample.set_point):

@@ -27,7 +27,7 @@ from autotuner.core.signals.windowed_trend import MOST, Latest
 from autotuner.core.verdict import aborted
 
 if TYPE_CHECKING:
-    from autotuner.core.safety.watches import Seen
+    from autotuner.core.safety.watches import SampleContext
     from autotuner.core.signals.windowed_trend import Trend
     from autotuner.core.verdict import Verdict
 
@@ -158,11 +158,11 @@ class PvWatch:
         self._latest = Latest()
         self._reaction = Reaction()
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when the PV is outside, or will be before a withdrawn output can act."""
         if not self._limited:
             return None
-        sample, (low, high) = seen.sample, self._limits
+        sample, (low, high) = context.sample, self._limits
         self._latest.take(sample.t, sample.pv)
         trend = self._trend(sample.t)
         if trend is not None:

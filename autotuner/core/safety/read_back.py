@@ -38,31 +38,32 @@ class ReadBack:
     _commanded: tuple[float, float] = (math.nan, math.nan)
     _foreign: list[str] = field(default_factory=list)
 
-    def held(self, commanded: float, seen: float | None) -> float:
-        """Return the output of the device; `seen` is None or NaN when it is not reported."""
-        if seen is None or math.isnan(seen):
+    def held(self, commanded: float, read_back: float | None) -> float:
+        """Return the output of the device; `read_back` is None or NaN when it is not reported."""
+        if read_back is None or math.isnan(read_back):
             return commanded
         if commanded != self._commanded[1]:
             self._commanded = (self._commanded[1], commanded)
-        foreign = abs(seen - commanded) > self.tolerance
+        foreign = abs(read_back - commanded) > self.tolerance
         self._strikes = self._strikes + 1 if foreign else 0
         if not foreign:
             self.damaged += self._foreign
             self._foreign.clear()
-        elif not self._on_its_way(seen):
-            self._foreign.append(f"the output was read as {seen:g} where {commanded:g} was commanded")
-        return commanded if foreign else seen
+        elif not self._on_its_way(read_back):
+            self._foreign.append(f"the output was read as {read_back:g} where {commanded:g} was commanded")
+        return commanded if foreign else read_back
 
-    def _on_its_way(self, seen: float) -> bool:
+    def _on_its_way(self, read_back: float) -> bool:
         before, now = self._commanded
-        return min(before, now) - self.tolerance <= seen <= max(before, now) + self.tolerance
+        return min(before, now) - self.tolerance <= read_back <= max(before, now) + self.tolerance
 
-    def check(self, t: float, commanded: float, seen: float | None) -> Verdict | None:
+    def check(self, t: float, commanded: float, read_back: float | None) -> Verdict | None:
         """Return a verdict when the device has held a foreign output for too many samples."""
         if self._strikes < STRIKES:
             return None
         return aborted(
             "output_overridden",
-            f"the device holds output {seen:g}, not the {commanded:g} commanded, for {STRIKES} samples up to {t:.3f} s",
+            f"the device holds output {read_back:g}, not the {commanded:g} commanded, for {STRIKES} samples up to "
+            f"{t:.3f} s",
             "Something else writes this output, or the device switched it off: find out, then try again.",
         )

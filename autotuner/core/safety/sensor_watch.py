@@ -24,7 +24,7 @@ from autotuner.core.verdict import aborted
 
 if TYPE_CHECKING:
     from autotuner.core.recording import Sample
-    from autotuner.core.safety.watches import Seen
+    from autotuner.core.safety.watches import SampleContext
     from autotuner.core.verdict import Verdict
 
 NOISY_VALUES = 4
@@ -76,9 +76,9 @@ class FrozenWatch:
         self._driven_samples = self._waited = 0
         self._changes: deque[tuple[float, float]] = deque(maxlen=RECENT)
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when the sensor must be dead."""
-        sample = seen.sample
+        sample = context.sample
         self._moves.step(sample.t, sample.output)
         if self._moves.first_s is None:
             self._rest.step(sample.pv)
@@ -93,9 +93,9 @@ class FrozenWatch:
         moved = self._driven and self._moves.is_full and not self._rest.noisy
         if moved and self._same > moving:
             return _frozen(sample, f"{self._same} samples, though the output drives it (limit {moving:g})")
-        if seen.phase == Phase.RELAY and self._moves.turns < DRIVEN and self._stopped(sample.t):
+        if context.phase == Phase.RELAY and self._moves.turns < DRIVEN and self._stopped(sample.t):
             return _frozen(sample, f"{self._same} samples, though it had answered the output after {self._waited}")
-        oscillates = seen.phase == Phase.RELAY and self._moves.turns >= DRIVEN  # for a coarse sensor too
+        oscillates = context.phase == Phase.RELAY and self._moves.turns >= DRIVEN  # for a coarse sensor too
         if (self._driven or oscillates) and still_s > PATIENCE * self._moves.longest_s:
             return _frozen(sample, f"{still_s:.4g} s of driving it (limit {PATIENCE * self._moves.longest_s:.4g} s)")
         return None
@@ -195,9 +195,9 @@ class JumpWatch:
         self._largest = 0.0
         self._away = 0
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when the PV has jumped and stays there."""
-        sample = seen.sample
+        sample = context.sample
         self._moves.step(sample.t, sample.output)
         step, intervals = abs(sample.pv - self._pv), self._intervals(sample.t)
         if self._moves.turns < DRIVEN or step <= JUMP * self._largest * intervals:

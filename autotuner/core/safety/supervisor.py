@@ -21,7 +21,14 @@ from typing import TYPE_CHECKING, Literal
 from autotuner.core.safety.ownership_watch import MODE_CHANGED, MODE_REFUSED, ModeWatch, SetPointWatch
 from autotuner.core.safety.pv_prediction import PvWatch
 from autotuner.core.safety.sensor_watch import FrozenWatch, JumpWatch
-from autotuner.core.safety.watches import BlindnessWatch, LatenessWatch, Seen, SpendingWatch, TimeWatch, process_stalled
+from autotuner.core.safety.watches import (
+    BlindnessWatch,
+    LatenessWatch,
+    SampleContext,
+    SpendingWatch,
+    TimeWatch,
+    process_stalled,
+)
 from autotuner.core.verdict import aborted
 from autotuner.errors import InputError
 
@@ -161,13 +168,13 @@ class Supervisor:
             Time since the sample before in which no reading was possible, s; by default its lateness.
         """
         usable = math.isfinite(sample.pv)
-        seen = Seen(sample, auto, phase)
-        verdicts = [watch.check(seen) for watch in self._of_others]
+        context = SampleContext(sample, auto, phase)
+        verdicts = [watch.check(context) for watch in self._of_others]
         still_s = sample.lateness_s if still_s is None else still_s
         verdicts.append(self.check_blindness(sample.t, usable=usable, still_s=still_s))
-        verdicts += [watch.check(seen) for watch in self._always]
+        verdicts += [watch.check(context) for watch in self._always]
         if usable:
-            verdicts += [watch.check(seen) for watch in self._of_the_pv]
+            verdicts += [watch.check(context) for watch in self._of_the_pv]
         return next((verdict for verdict in verdicts if verdict is not None), None)
 
     def check_gone(self, t: float) -> Verdict | None:

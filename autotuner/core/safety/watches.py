@@ -23,7 +23,7 @@ PROCESS_STALLED = "process_stalled"
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SampleContext:
     """One sample with its context.
 
     Attributes
@@ -44,7 +44,7 @@ class Seen:
 class Watch(Protocol):
     """Interface of a watch of the supervisor."""
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Take a sample; return a verdict when its limit is passed."""
 
 
@@ -54,9 +54,9 @@ class LatenessWatch:
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict for a late sample."""
-        sample = seen.sample
+        sample = context.sample
         if sample.lateness_s <= self._limit_s:
             return None
         return aborted(
@@ -124,12 +124,12 @@ class TimeWatch:
         self._entered_s = 0.0
         self._phase = ""
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when time is up."""
-        t = seen.sample.t
+        t = context.sample.t
         self._started_s = t if self._started_s is None else self._started_s
-        if seen.phase != self._phase:
-            self._phase, self._entered_s = seen.phase, t
+        if context.phase != self._phase:
+            self._phase, self._entered_s = context.phase, t
         if t - self._started_s > self._total_s:
             return _time_up("time_limit", "the tuning", t - self._started_s, self._total_s, t)
         if t - self._entered_s > self._phase_s:
@@ -156,9 +156,9 @@ class SpendingWatch:
         self._travel = 0.0
         self._energy = 0.0
 
-    def check(self, seen: Seen) -> Verdict | None:
+    def check(self, context: SampleContext) -> Verdict | None:
         """Return a verdict when a budget is used up."""
-        sample = seen.sample
+        sample = context.sample
         self._first = self._first or sample
         if self._last is not None:
             self._travel += abs(sample.output - self._last.output)

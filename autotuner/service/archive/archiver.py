@@ -172,7 +172,7 @@ def kept_now(tuning: TuningRun) -> KeptTuning:
 def snapshot_of(tuning: TuningRun) -> TuningSnapshot:
     """Return the present result of a tuning."""
     experiment = None if tuning.controller is None else tuning.controller.experiment
-    settings = {} if experiment is None else experiment.settings_seen()
+    settings = {} if experiment is None else experiment.settings_so_far()
     verdict = tuning.verdict
     outcome, code = (verdict.outcome.value, verdict.code) if verdict else (None, None)
     return TuningSnapshot(tuning.to_dict(), settings, outcome, code, tuning.phase, VERSIONS)

@@ -196,7 +196,7 @@ def tuning(scene, physics, sigma, seed, noise=None, *, check=True):
             loop.hold(sample, command.output)
     if run.verdict is not None or "relay" not in run.segments:
         raise RefusedError(run.verdict.code if run.verdict else "too long")
-    return loop.recording(physics, run.settings_seen())
+    return loop.recording(physics, run.settings_so_far())
 
 
 def relay_only(scene, physics, sigma, seed, noise=None):

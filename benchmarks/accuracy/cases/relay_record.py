@@ -101,7 +101,7 @@ def relay_record(process, Ku, Pu, sigma, seed):
         plant.advance(output)
     if experiment.verdict is not None:
         return None, experiment.verdict
-    return Recording.from_samples(samples, experiment.settings_seen()), None
+    return Recording.from_samples(samples, experiment.settings_so_far()), None
 
 
 def oscillation_rms(recording):

@@ -46,7 +46,7 @@ def perform(one, sigma, seed):
     run = experiment(loop)
     if run.verdict is not None:
         return None
-    model = identify(Recording.from_samples(loop.samples, run.settings_seen())).model
+    model = identify(Recording.from_samples(loop.samples, run.settings_so_far())).model
     if model is None or model.structure != "fopdt":
         return None
     switches = int(np.count_nonzero(np.diff([sample.output for sample in relay_part(loop, run)])))

@@ -87,7 +87,7 @@ def experiment(loop):
         if run.phase is not Phase.RESTORE:
             loop.hold(sample, command.output)
         if command.estimate is not None and command.estimate.half_period >= FEWEST_HALF_PERIODS:
-            seen = run.settings_seen()
+            seen = run.settings_so_far()
             model = running_model(Recording.from_samples(loop.samples, seen), seen["noise_sigma"])
             run.inform(model.relative_error if model is not None else math.inf)
     return run
@@ -97,7 +97,7 @@ def our_result(loop, run):
     """Return how our run ended, and Ku, Pu and switches if it has a result."""
     if run.verdict is not None:
         return run.verdict.code, None
-    identification = identify(Recording.from_samples(loop.samples, run.settings_seen()))
+    identification = identify(Recording.from_samples(loop.samples, run.settings_so_far()))
     if identification.model is None:
         return identification.verdict.code, None
     point = ultimate_point(identification.model)
@@ -111,7 +111,7 @@ def relay_part(loop, run):
 
 def go_on(loop, run, periods):
     """Let the relay run on for the rules."""
-    seen = run.settings_seen()
+    seen = run.settings_so_far()
     relay = Relay(seen["relay_low"], seen["relay_high"], seen["relay_reference"], seen["hysteresis"])
     is_high, switches = loop.samples[-1].output > relay.bias, 0
     longest = int(periods * 20.0 * (BATCH_PERIOD_S[loop.plant.plant] / loop.dt))
@@ -167,7 +167,7 @@ def perform(index, share, seed, amplitude):
     loop = Loop(one, share * amplitude, number)
     run = experiment(loop)
     code, ours = our_result(loop, run)
-    if "relay_low" in run.settings_seen():
+    if "relay_low" in run.settings_so_far():
         go_on(loop, run, LONGEST_PERIODS)
     peaks = peaks_of(relay_part(loop, run))
     Ku, Pu = true_point(one.plant)

@@ -50,7 +50,7 @@ def record(gains: PidGains | None, noise: float, seed: int) -> Recording | None:
         pv = plant.measure()
         command = experiment.step(Sample(t, pv, output))
         if command.phase is Phase.RESTORE:
-            seen = experiment.settings_seen()
+            seen = experiment.settings_so_far()
             return None if experiment.verdict else Recording.from_samples(samples, seen)
         plant.output = output = command.output
         samples.append(Sample(t, pv, output))

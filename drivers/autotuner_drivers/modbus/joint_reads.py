@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from autotuner_drivers.modbus.register_map import DeviceLimits
 
 
-class Asked(Protocol):
+class RequestLink(Protocol):
     """A link to a device, which makes exchanges."""
 
     @property
@@ -133,13 +133,13 @@ class JointReads:
 
     Parameters
     ----------
-    link : Asked
+    link : RequestLink
         Answers requests.
     limits : DeviceLimits
         The longest read, and the widest gap.
     """
 
-    def __init__(self, link: Asked, limits: DeviceLimits) -> None:
+    def __init__(self, link: RequestLink, limits: DeviceLimits) -> None:
         self._link = link
         self._requests = JointRequests(limits)
         self._waiting: list[_Part] = []

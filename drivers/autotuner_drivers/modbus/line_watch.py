@@ -54,11 +54,11 @@ class LineWatch:
     def __init__(self, settings: LineSettings) -> None:
         self.settings = settings
         self._expected = 0
-        self._owed = 0
-        self._heard = 0
+        self._pending_bytes = 0
+        self._received_bytes = 0
         self._buffer = b""
         self._packet = b""
-        self._heard_s = -math.inf
+        self._received_at_s = -math.inf
         self._give_up_s = -math.inf
         self._ready_s = -math.inf
 
@@ -69,37 +69,38 @@ class LineWatch:
     def sent(self, packet: bytes, now_s: float) -> None:
         """Take note of a request."""
         self._packet, self._buffer = packet, b""
-        self._owed = self._expected + (len(packet) if self.settings.echo else 0)
-        self._heard = 0
+        self._pending_bytes = self._expected + (len(packet) if self.settings.echo else 0)
+        self._received_bytes = 0
         self._give_up_s = now_s + self.settings.patience_s
 
-    def heard(self, buffer: bytes, now_s: float) -> bytes:
+    def received(self, buffer: bytes, now_s: float) -> bytes:
         """Take note of what the line's buffer holds now; return it without the echo."""
         grown = buffer.startswith(self._buffer)
-        self._heard += len(buffer) - (len(self._buffer) if grown else 0)
-        self._buffer, self._heard_s = buffer, now_s
+        self._received_bytes += len(buffer) - (len(self._buffer) if grown else 0)
+        self._buffer, self._received_at_s = buffer, now_s
         return strip_echo(buffer, self._packet) if self.settings.echo else buffer
 
     def answered(self, now_s: float) -> None:
         """Take note that the answer has come."""
-        self._owed = 0
+        self._pending_bytes = 0
         self._ready_s = now_s + self.settings.pause_s
 
     def garbled(self, now_s: float) -> bool:
         """Return whether an answer's worth of bytes has come and gone without having been one."""
-        return bool(self._owed) and self._heard >= self._owed and now_s >= self._heard_s + self.settings.gap_s
+        complete = 0 < self._pending_bytes <= self._received_bytes
+        return complete and now_s >= self._received_at_s + self.settings.gap_s
 
     @property
     def answering(self) -> bool:
         """Whether the device has sent anything since the last request: it does so only when it understood."""
-        return self._heard > (len(self._packet) if self.settings.echo else 0)
+        return self._received_bytes > (len(self._packet) if self.settings.echo else 0)
 
     def ready_s(self) -> float:
         """Return the time from which a request may be sent, by what is known now."""
-        silent_s = self._heard_s + self.settings.gap_s
-        if not self._owed:
+        silent_s = self._received_at_s + self.settings.gap_s
+        if not self._pending_bytes:
             return self._ready_s
-        return silent_s if self._heard >= self._owed else max(self._give_up_s, silent_s)
+        return silent_s if self._received_bytes >= self._pending_bytes else max(self._give_up_s, silent_s)
 
 
 def strip_echo(buffer: bytes, packet: bytes) -> bytes:

@@ -139,7 +139,7 @@ class ModbusLink:
     def take_line(self) -> None:
         """Join the line; raise `LinkError` where another loop has it open with other settings."""
         if self not in self._line.users:
-            self._line = PORTS.join(self, self._line, self._tell)
+            self._line = PORTS.join(self, self._line, self._report_closed)
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected.
@@ -163,7 +163,7 @@ class ModbusLink:
         """Whether there is a connection, as far as is known."""
         return self._connection.up
 
-    def _tell(self, reason: str) -> None:
+    def _report_closed(self, reason: str) -> None:
         for gone in list(self.users.values()):
             if gone is not None:
                 gone(reason)
@@ -241,12 +241,12 @@ class ModbusLink:
     async def _together(self, exchanges: Sequence[Exchange]) -> None:
         """Have requests under way at once; what is not answered is requested again alone."""
         try:
-            heard, sent_s = await self._heard([exchange.request for exchange in exchanges])
+            answers, sent_s = await self._answers_to([exchange.request for exchange in exchanges])
         except DriverError as error:
             for exchange in exchanges:
                 exchange.error = error
             return
-        for exchange, (pdu, answered_s) in zip(exchanges, heard, strict=True):
+        for exchange, (pdu, answered_s) in zip(exchanges, answers, strict=True):
             if pdu is not None:
                 self._take(exchange, pdu, sent_s, answered_s)
             elif exchange.retries:
@@ -255,24 +255,24 @@ class ModbusLink:
             else:
                 exchange.error = driver_error(ModbusIOException(), self._device, self.settings.timeout_s)
         self._losses = 0
-        if any(pdu is None for pdu, _ in heard):
+        if any(pdu is None for pdu, _ in answers):
             self._one_by_one("left requests unanswered")
 
-    async def _heard(self, requests: Sequence[Request]) -> tuple[list[tuple[ModbusPDU | None, float]], float]:
-        """Send requests at once; return what was heard of each, with its time, and when they were sent."""
+    async def _answers_to(self, requests: Sequence[Request]) -> tuple[list[tuple[ModbusPDU | None, float]], float]:
+        """Send requests at once; return the answer to each, with its time, and when they were sent."""
         client = self._connection.current or await self._connection.client()
         lost = self._connection.lost
         assert lost is not None  # noqa: S101 - narrows the type: set by every connect
         sent_s = asyncio.get_running_loop().time()
         pdus = [request.pdu(self.settings.unit) for request in requests]
-        heard = await self._overlap.answers(pdus, client.ctx.send, lost, self.settings.timeout_s)
+        answers = await self._overlap.answers(pdus, client.ctx.send, lost, self.settings.timeout_s)
         if lost.done():
             self._losses += 1
             if self._losses >= LOSSES:
                 self._one_by_one("closed the connection")
             error = ConnectionResetError("the connection was closed while answers were awaited")
             raise driver_error(error, self._device, self.settings.timeout_s) from error
-        return heard, sent_s
+        return answers, sent_s
 
     def _take(self, exchange: Exchange, answer: ModbusPDU, sent_s: float, answered_s: float) -> None:
         """Take an answer that was heard."""
@@ -386,7 +386,7 @@ class ModbusLink:
 
     def _readable(self, packet: bytes) -> bytes:
         """Return what the library can decode; anything else would make it close the connection."""
-        self._overlap.hear(packet)
+        self._overlap.receive(packet)
         head, size = self._usual
         if len(packet) == size and packet.startswith(head, HEADER_BYTES):
             return packet

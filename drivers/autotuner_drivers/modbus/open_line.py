@@ -55,7 +55,7 @@ class OpenLine:
         self.turn = asyncio.Lock()
         self.watch = LineWatch(line.watch) if line.watch else None
         self.connection = ModbusConnection(line, device, timeout_s, SILENT_REQUESTS - 1, self._on_packet, self.turn)
-        self.connection.gone = self._tell
+        self.connection.gone = self._report_closed
         self.users: dict[object, Callable[[str], None] | None] = {}
         self._readable = readable
 
@@ -68,7 +68,7 @@ class OpenLine:
         """Close the connection."""
         await self.connection.close()
 
-    def _tell(self, reason: str) -> None:
+    def _report_closed(self, reason: str) -> None:
         for gone in list(self.users.values()):
             if gone is not None:
                 gone(reason)
@@ -78,7 +78,7 @@ class OpenLine:
             return packet if sending else self._readable(packet)
         now_s = asyncio.get_running_loop().time()
         if not sending:
-            return self.watch.heard(packet, now_s)
+            return self.watch.received(packet, now_s)
         self.watch.sent(packet, now_s)
         return packet
 

@@ -34,7 +34,7 @@ class Overlap:
 
     def __init__(self) -> None:
         self._awaited: set[int] = set()
-        self._heard: dict[int, tuple[ModbusPDU | None, float]] = {}
+        self._answers: dict[int, tuple[ModbusPDU | None, float]] = {}
         self._ended = asyncio.Event()
         self._sent = 0
 
@@ -56,7 +56,7 @@ class Overlap:
         """
         numbers = [NUMBERS[(self._sent + k) % len(NUMBERS)] for k in range(len(requests))]
         self._sent += len(requests)
-        self._heard, self._awaited, self._ended = {}, set(numbers), asyncio.Event()
+        self._answers, self._awaited, self._ended = {}, set(numbers), asyncio.Event()
         for number, request in zip(numbers, requests, strict=True):
             request.transaction_id = number
         lost.add_done_callback(self._end)
@@ -70,9 +70,9 @@ class Overlap:
         finally:
             lost.remove_done_callback(self._end)
             self._awaited = set()
-        return [self._heard.get(number, (None, math.nan)) for number in numbers]
+        return [self._answers.get(number, (None, math.nan)) for number in numbers]
 
-    def hear(self, packet: bytes) -> None:
+    def receive(self, packet: bytes) -> None:
         """Take the answers out of what the connection's buffer holds, which begins with a message."""
         while self._awaited and len(packet) > HEADER_BYTES and not any(packet[2:4]):
             size = LENGTH_END + int.from_bytes(packet[4:LENGTH_END], "big")
@@ -81,7 +81,7 @@ class Overlap:
             number = int.from_bytes(packet[:2], "big")
             if number in self._awaited:
                 self._awaited.remove(number)
-                self._heard[number] = _decoded(packet[:size]), asyncio.get_running_loop().time()
+                self._answers[number] = _decoded(packet[:size]), asyncio.get_running_loop().time()
             packet = packet[size:]
             if not self._awaited:
                 self._ended.set()

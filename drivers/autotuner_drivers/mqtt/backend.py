@@ -153,14 +153,14 @@ class MqttTransport:
         self._reports, self._lost, self._away = {}, None, False
         async with asyncio.timeout(self._timeout_s):
             await self._connect()
-        await self._heard(PV, self._interval_s)
+        await self._await_message(PV, self._interval_s)
 
     async def read(self, names: Sequence[str]) -> dict[str, float]:
         """Return the last reports; wait for a signal that was never reported."""
         self._check()
         for name in names:
             if name not in self._reports:
-                await self._heard(name, self._timeout_s)
+                await self._await_message(name, self._timeout_s)
         return {name: self._pv() if name == PV else self._reports[name].value for name in names}
 
     async def write(self, name: str, value: float) -> None:
@@ -280,7 +280,7 @@ class MqttTransport:
         self.moment_s = report.at_s if report.at_s > last_s else now_s  # no report since: the value still holds
         return report.value
 
-    async def _heard(self, name: str, wait_s: float) -> None:
+    async def _await_message(self, name: str, wait_s: float) -> None:
         """Wait for the first report of a signal."""
         try:
             async with asyncio.timeout(wait_s):

@@ -283,8 +283,8 @@ def create(options: Mapping[str, object]) -> SerialBackend:
         Names the key, the value and the remedy; nothing has been opened.
     """
     table = Options(options)
-    spoken = table.choice("protocol", tuple(PROTOCOLS))
-    usual = PROTOCOLS[spoken]
+    protocol_name = table.choice("protocol", tuple(PROTOCOLS))
+    usual = PROTOCOLS[protocol_name]
     protocol = usual.read(table)
     settings = read_serial(table, baudrate=usual.baudrate, bytesize=usual.bytesize, parity=usual.parity)
     timeout_s = table.number("timeout_s", 1.0, low=0.01, high=60.0, unit="s")
@@ -298,4 +298,4 @@ def create(options: Mapping[str, object]) -> SerialBackend:
     retries = table.integer("retries", 2, low=0, high=10)
     table.done()
     link = SerialLink(SerialThread(settings), settings.port, timing, protocol.split)
-    return SerialBackend(link, protocol, retries, Frame(settings, spoken, timing))
+    return SerialBackend(link, protocol, retries, Frame(settings, protocol_name, timing))

@@ -100,7 +100,7 @@ class SerialLink:
     def __init__(self, port: Port, label: str, timing: Timing, split: Split) -> None:
         self._port, self._label, self._timing, self._split = port, label, timing, split
         self._backoff = Backoff()
-        self._owed_until_s: float | None = None
+        self._late_answer_until_s: float | None = None
         self._ready_s = 0.0
         self._took_s: deque[float] = deque(maxlen=REMEMBERED)
         self.moment_s = math.nan
@@ -124,7 +124,7 @@ class SerialLink:
             self._backoff.failed(loop.time(), error)
             raise link_error(error, self._label, self._timing.timeout_s) from error
         self._backoff.succeeded()
-        self._owed_until_s, self.connected = None, True
+        self._late_answer_until_s, self.connected = None, True
 
     async def settle(self, silence_s: float) -> None:
         """Wait for a device that the opening of its port has reset, and discard its output meanwhile."""
@@ -142,7 +142,7 @@ class SerialLink:
             self._ready_s = self.moment_s + self._timing.pause_s
             return 0.0
         sent_s = loop.time()
-        self._owed_until_s = sent_s + self._timing.timeout_s + self._timing.late_answer_s
+        self._late_answer_until_s = sent_s + self._timing.timeout_s + self._timing.late_answer_s
         value = await self._answer(exchange, sent_s + self._timing.timeout_s)
         self._note_answer()
         answered_s = loop.time()
@@ -191,19 +191,19 @@ class SerialLink:
         )
 
     def _note_answer(self) -> None:
-        self._owed_until_s = None
+        self._late_answer_until_s = None
         self._ready_s = asyncio.get_running_loop().time() + self._timing.pause_s
 
     async def _line_free(self) -> None:
         """Wait until no late answer is due and the device has had its pause."""
         loop = asyncio.get_running_loop()
-        heard_s = None
-        while self._owed_until_s is not None and loop.time() < self._owed_until_s:
-            if heard_s is not None and loop.time() >= heard_s + self._timing.gap_s:
+        received_at_s = None
+        while self._late_answer_until_s is not None and loop.time() < self._late_answer_until_s:
+            if received_at_s is not None and loop.time() >= received_at_s + self._timing.gap_s:
                 break
             if await self._guarded(self._port.read(self._timing.gap_s)):
-                heard_s = loop.time()
-        self._owed_until_s = None
+                received_at_s = loop.time()
+        self._late_answer_until_s = None
         wait_s = self._ready_s - loop.time()
         if wait_s > 0.0:
             await asyncio.sleep(max(wait_s, SHORTEST_WAIT_S))

@@ -73,13 +73,13 @@ class ControllerView:
         The process.
     covariance : array of float, shape (p, p), or None
         Covariance of its parameters, in their order.
-    said : tuple of str
+    changes : tuple of str
         Changes of the process, in words.
     """
 
     model: ProcessModel
     covariance: FloatArray | None
-    said: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
 
 
 def controller_view(
@@ -101,30 +101,30 @@ def controller_view(
     stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
     later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
     longest = max((e.parameters["longest_over_first"] for e in effects if e.name == FLOW), default=1.0)
-    met = _times(
+    view = _times(
         ControllerView(process, covariance), "K", stronger, "its gain is the larger one, {:.3g} times the other"
     )
-    met = _times(met, "D", longest, "its dead time is that at the lowest flow, {:.3g} times the first one")
-    met = _with_dead_time(met, later_s)
+    view = _times(view, "D", longest, "its dead time is that at the lowest flow, {:.3g} times the first one")
+    view = _with_dead_time(view, later_s)
     for effect in effects:
-        met = _with_lag(met, effect) if effect.name == LAG else met
+        view = _with_lag(view, effect) if effect.name == LAG else view
     zero = next((e for e in effects if e.name == ZERO), None)
-    seen = met if zero is None else _with_zero(met, zero)
+    last = view if zero is None else _with_zero(view, zero)
     for effect in effects:
-        seen = None if seen is None else _with_plugin(seen, effect)
-    return seen
+        last = None if last is None else _with_plugin(last, effect)
+    return last
 
 
-def _with_plugin(met: ControllerView, effect: FoundEffect) -> ControllerView | None:
+def _with_plugin(view: ControllerView, effect: FoundEffect) -> ControllerView | None:
     """Return the process with an added effect; its covariance is that of the process without it."""
     plugin = installed_effects().get(effect.name)
     if plugin is None or plugin.controller_view is None:
-        return met
-    model = plugin.controller_view(met.model, effect.parameters)
+        return view
+    model = plugin.controller_view(view.model, effect.parameters)
     if model is None:
         return None
-    same = type(model) is type(met.model)
-    return ControllerView(model, met.covariance if same else None, (*met.said, f"{effect.name} is in it"))
+    same = type(model) is type(view.model)
+    return ControllerView(model, view.covariance if same else None, (*view.changes, f"{effect.name} is in it"))
 
 
 def _is_small(process: ProcessModel, sizes: Mapping[str, float]) -> bool:
@@ -140,44 +140,46 @@ def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:
     return max((share * sizes.get(name, 0.0) for name, share in shares.items()), default=0.0)
 
 
-def _times(met: ControllerView, name: str, factor: float, said: str) -> ControllerView:
+def _times(view: ControllerView, name: str, factor: float, changes: str) -> ControllerView:
     """Return the process with one of its parameters multiplied, at least by one."""
     if factor <= 1.0:
-        return met
-    values = met.model.parameters()
+        return view
+    values = view.model.parameters()
     scale = np.array([factor if one == name else 1.0 for one in values])
-    covariance = None if met.covariance is None else met.covariance * np.outer(scale, scale)
-    model = replace(met.model, **{name: values[name] * factor})  # type: ignore[type-var]
-    return ControllerView(model, covariance, (*met.said, said.format(factor)))
+    covariance = None if view.covariance is None else view.covariance * np.outer(scale, scale)
+    model = replace(view.model, **{name: values[name] * factor})  # type: ignore[type-var]
+    return ControllerView(model, covariance, (*view.changes, changes.format(factor)))
 
 
-def _with_dead_time(met: ControllerView, later_s: float) -> ControllerView:
+def _with_dead_time(view: ControllerView, later_s: float) -> ControllerView:
     if later_s <= 0.0:
-        return met
-    model = replace(met.model, D=met.model.D + later_s)  # type: ignore[type-var]
-    return ControllerView(model, met.covariance, (*met.said, f"{later_s:.3g} s of its dead time are the actuator's"))
+        return view
+    model = replace(view.model, D=view.model.D + later_s)  # type: ignore[type-var]
+    return ControllerView(
+        model, view.covariance, (*view.changes, f"{later_s:.3g} s of its dead time are the actuator's")
+    )
 
 
-def _with_lag(met: ControllerView, effect: FoundEffect) -> ControllerView:
+def _with_lag(view: ControllerView, effect: FoundEffect) -> ControllerView:
     """Return the process with a further lag, whose error is assumed independent of the others."""
-    names, lag_s = list(met.model.parameters()), effect.parameters["time_constant_s"]
+    names, lag_s = list(view.model.parameters()), effect.parameters["time_constant_s"]
 
     def behind(x: FloatArray) -> ProcessModel:
-        return _behind_a_lag(met.model, dict(zip(names, x[:-1].tolist(), strict=True)), float(x[-1]))
+        return _behind_a_lag(view.model, dict(zip(names, x[:-1].tolist(), strict=True)), float(x[-1]))
 
-    x = np.array([*met.model.parameters().values(), lag_s])
+    x = np.array([*view.model.parameters().values(), lag_s])
     model = behind(x)
     moved = [behind(x + step) for step in np.diag(NUDGE * np.maximum(np.abs(x), lag_s))]
     covariance = None
-    if met.covariance is not None and all(type(one) is type(model) for one in moved):
+    if view.covariance is not None and all(type(one) is type(model) for one in moved):
         low, high = effect.interval95.get("time_constant_s", (lag_s, lag_s))
         wide = np.zeros((x.size, x.size))
-        wide[:-1, :-1], wide[-1, -1] = met.covariance, ((high - low) / 2.0 / NORMAL_95) ** 2
+        wide[:-1, :-1], wide[-1, -1] = view.covariance, ((high - low) / 2.0 / NORMAL_95) ** 2
         here = np.array(list(model.parameters().values()))
         J = np.column_stack([np.array(list(one.parameters().values())) - here for one in moved])
         J /= NUDGE * np.maximum(np.abs(x), lag_s)
         covariance = J @ wide @ J.T
-    return ControllerView(model, covariance, (*met.said, f"a further lag of {lag_s:.3g} s is in it"))
+    return ControllerView(model, covariance, (*view.changes, f"a further lag of {lag_s:.3g} s is in it"))
 
 
 def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> ProcessModel:
@@ -191,9 +193,9 @@ def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> P
     return replace(kind, **{**p, "D": p["D"] + lag_s})  # type: ignore[type-var]
 
 
-def _with_zero(met: ControllerView, effect: FoundEffect) -> ControllerView | None:
+def _with_zero(view: ControllerView, effect: FoundEffect) -> ControllerView | None:
     """Return the process with its zero, whose error is assumed independent of the others."""
-    process, Z = met.model, effect.parameters["Z"]
+    process, Z = view.model, effect.parameters["Z"]
     kind = ZEROS.get(type(process))
     if kind is None or Z <= 0.0:
         return None
@@ -201,14 +203,16 @@ def _with_zero(met: ControllerView, effect: FoundEffect) -> ControllerView | Non
     numbers = {new: process.parameters()[old] for new, old in names.items()}
     model = model_from_dict({"T2": 0.0, **numbers, "Z": Z} if kind is InverseResponse else {**numbers, "Z": Z})
     low, high = effect.interval95.get("Z", (Z, Z))
-    covariance = None if met.covariance is None else _widened(met, model, names, ((high - low) / 2.0 / NORMAL_95) ** 2)
-    return ControllerView(model, covariance, (*met.said, f"it answers the wrong way first, Z {Z:.3g} s"))
+    covariance = (
+        None if view.covariance is None else _widened(view, model, names, ((high - low) / 2.0 / NORMAL_95) ** 2)
+    )
+    return ControllerView(model, covariance, (*view.changes, f"it answers the wrong way first, Z {Z:.3g} s"))
 
 
-def _widened(met: ControllerView, model: ProcessModel, names: Mapping[str, str], variance: float) -> FloatArray:
+def _widened(view: ControllerView, model: ProcessModel, names: Mapping[str, str], variance: float) -> FloatArray:
     """Return the covariance of the parameters with a zero; those that the process did not have are exact."""
-    old, new = list(met.model.parameters()), list(model.parameters())
+    old, new = list(view.model.parameters()), list(model.parameters())
     take = np.array([[float(names.get(row) == column) for column in old] for row in new])
-    wide: FloatArray = take @ met.covariance @ take.T
+    wide: FloatArray = take @ view.covariance @ take.T
     wide[new.index("Z"), new.index("Z")] = variance
     return wide

@@ -117,7 +117,7 @@ def lasts_s(process: ProcessModel) -> float:
 
 
 def both_gains(
-    before: Known, after: Known, effects: Sequence[FoundEffect], dataset: Dataset, asked: Design = NOMINAL
+    before: Known, after: Known, effects: Sequence[FoundEffect], dataset: Dataset, requested: Design = NOMINAL
 ) -> dict[str, object]:
     """Return the gains of the model without effects and of that with them, with margins and predicted outcome.
 
@@ -129,7 +129,7 @@ def both_gains(
         The effects.
     dataset : Dataset
         The recording.
-    asked : Design
+    requested : Design
         Design of both.
 
     Returns
@@ -146,23 +146,23 @@ def both_gains(
         load_step=size,
     )
     loop = _Loop(process, installed)
-    first = _gains(before, loop, asked)
+    first = _gains(before, loop, requested)
     if process == before.model and not effects:
         return {"before": first, "after": first}
     met = controller_view(process, after.covariance, effects)
     if met is None:
         return {"before": first, "after": None}
     answers = Known(met.model, met.covariance)
-    last = _gains(answers, loop, asked)
+    last = _gains(answers, loop, requested)
     compared: dict[str, object] = {"before": first, "after": last}
-    calm = _gains(answers, loop, asked.calmer) if asked.calmer and installed.foreseen else None
+    calm = _gains(answers, loop, requested.calmer) if requested.calmer and installed.foreseen else None
     return compared if calm is None or _cost(calm) >= _cost(last) else {**compared, "calmer": calm}
 
 
-def _gains(known: Known, loop: _Loop, asked: Design) -> dict[str, object] | None:
+def _gains(known: Known, loop: _Loop, requested: Design) -> dict[str, object] | None:
     """Return the gains of a design and their response; None without any."""
     try:
-        return loop.comparison(asked.name, asked.choose(known.model, known.covariance), known.model)
+        return loop.comparison(requested.name, requested.choose(known.model, known.covariance), known.model)
     except (AutotunerError, ValueError, ArithmeticError):
         return None
 
@@ -177,9 +177,9 @@ def calmer_note(gains: Mapping[str, Any]) -> list[str]:
     """Return the note on calmer gains, where they cost less with the effects in the loop."""
     if gains.get("calmer") is None:
         return []
-    asked, calm = gains["after"], gains["calmer"]
+    requested, calm = gains["after"], gains["calmer"]
     values = ", ".join(f"{name} {calm['gains'][name]:.4g}" for name in ("Kp", "Ti", "Td") if calm["gains"][name])
-    costs = f", {calm['with_effects']['cost']:.2g} of the step instead of {_cost(asked):.2g}" if asked else ""
+    costs = f", {calm['with_effects']['cost']:.2g} of the step instead of {_cost(requested):.2g}" if requested else ""
     effects = " and ".join(calm["with_effects"]["effects"])
     return [
         f"with {effects} in the loop, gains of the goal {calm['goal']} cost less{costs} (mean error, cycle): {values}"

@@ -89,12 +89,12 @@ def reported(
     first: Base,
     model: ProcessModel | None,
     parts: Parts,
-    asked: Design = NOMINAL,
+    requested: Design = NOMINAL,
 ) -> Diagnosis:
     """Return the diagnosis.
 
     `context` has the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` the
-    sensor's effects, `first` the process alone, `model` the declared model or None, and `asked` the design of
+    sensor's effects, `first` the process alone, `model` the declared model or None, and `requested` the design of
     the gains.
     """
     effects, found, spread_s = _all_effects(context, found, sensor)
@@ -112,8 +112,8 @@ def reported(
     after = Known(found.chosen.process(), covariance) if kept else alone
     blind = blind_spots(context, found.chosen, found.noise)
     judged = model is None and not context.dataset.tuned
-    barred = why_no_gains(parts.seen, first, found, verdict, error["fitted"]) if judged else None
-    gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), context.dataset, asked)
+    barred = why_no_gains(parts.before_test, first, found, verdict, error["fitted"]) if judged else None
+    gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), context.dataset, requested)
     missing = () if kept else dependences(context, found.alone, noise)
     notes = [
         *in_words(missing),
@@ -188,14 +188,14 @@ def _doubts(
 
 def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
     """Return the notes on the test part and on autoregressive noise."""
-    said = []
+    notes = []
     if _is_refuted(held):
-        said.append(TEST_REFUTES.format(held.after, held.before))
+        notes.append(TEST_REFUTES.format(held.after, held.before))
     if held.after > FEW * held.expected:
-        said.append(TEST_FAILS.format(held.after / max(held.expected, 1e-300)))
+        notes.append(TEST_FAILS.format(held.after / max(held.expected, 1e-300)))
     if coloured is not None:
-        said.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
-    return said
+        notes.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
+    return notes
 
 
 def _is_refuted(held: Misfit) -> bool:
@@ -230,8 +230,8 @@ def _effects(context: FitContext, found: Trace) -> tuple[FoundEffect, ...]:
         alike_beside = (places[n] is effect.place or (outside and comes_from_outside(n, places[n])) for n in weights)
         here = sum(weight for weight, same in zip(weights.values(), alike_beside, strict=True) if same)
         sure = min(1.0 / (1.0 + sum(weights.values())), 0.999) * min(1.0, VISIBLE / left)
-        told = (sizes, interval, sure, alike, effect.form, remedy(name, sizes), sure * (1.0 + here))
-        result.append(FoundEffect(name, effect.place.value, *told))
+        values = (sizes, interval, sure, alike, effect.form, remedy(name, sizes), sure * (1.0 + here))
+        result.append(FoundEffect(name, effect.place.value, *values))
     inside = dict(zip(names, chosen.names, strict=True))
     return tuple(without_rounding(result, lambda e: -_weight(context, found, inside[e.name])))
 

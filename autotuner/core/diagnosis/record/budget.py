@@ -17,12 +17,12 @@ class Budget:
     ----------
     is_spent : callable or None
         Returns whether it is spent; None without a limit. Called before each fit of the search.
-    tell : callable or None
+    on_progress : callable or None
         Takes a sentence on how far the search is.
     """
 
     is_spent: Callable[[], bool] | None = None
-    tell: Callable[[str], None] | None = None
+    on_progress: Callable[[str], None] | None = None
 
     @property
     def spent(self) -> bool:
@@ -31,8 +31,8 @@ class Budget:
 
     def report(self, sentence: str) -> None:
         """Pass a sentence on."""
-        if self.tell is not None:
-            self.tell(sentence)
+        if self.on_progress is not None:
+            self.on_progress(sentence)
 
 
 UNLIMITED = Budget()

@@ -39,32 +39,32 @@ class Parts:
 
     Attributes
     ----------
-    seen : Recording
+    before_test : Recording
         The samples for fit and selection.
     whole : Recording
         All samples.
     """
 
-    seen: Recording
+    before_test: Recording
     whole: Recording
 
     @property
     def tested(self) -> slice:
         """Rows of the test part in the whole."""
-        return slice(len(self.seen), len(self.whole))
+        return slice(len(self.before_test), len(self.whole))
 
     @property
     def test_from_s(self) -> float:
         """Start of the test part, s from the start; the end of the record without one."""
-        last = min(len(self.seen), len(self.whole) - 1)
+        last = min(len(self.before_test), len(self.whole) - 1)
         return float(self.whole.t[last] - self.whole.t[0])
 
-    def whole_case(self, seen: Dataset) -> Dataset:
+    def whole_case(self, before_test: Dataset) -> Dataset:
         """Return the dataset of the whole record, in the units and about the values of the one that was searched."""
         t = self.whole.t - self.whole.t[0]
-        held = input_of(self.whole, smooth=seen.smooth, begins=seen.begins)
-        data = Data(t, self.whole.pv - seen.pv0, held, np.ones_like(t))
-        return replace(seen, data=data, extra=dict(self.whole.extra), span_s=seen.span_s)
+        held = input_of(self.whole, smooth=before_test.smooth, begins=before_test.begins)
+        data = Data(t, self.whole.pv - before_test.pv0, held, np.ones_like(t))
+        return replace(before_test, data=data, extra=dict(self.whole.extra), span_s=before_test.span_s)
 
 
 def parts_of(recording: Recording) -> Parts:

@@ -37,7 +37,7 @@ HARMFUL = 3.0
 """Standard deviations of the whole record that an outlier is off as well: smaller ones hardly move a fit."""
 
 
-MOVES_THAT_TELL, SHARE_OF_MOVES, SAMPLES_A_MOVE = 4, 0.3, 10
+FEWEST_MOVES, SHARE_OF_MOVES, SAMPLES_A_MOVE = 4, 0.3, 10
 """After how many moves, and which share of them, spikes at one lag are an answer; how far apart moves have to be."""
 WILD, WILD_AT_PULSE = 3.0, 30.0
 """Distance from the neighbours, in spans of the PV, of a wild reading; by a short pulse of the output, a real one."""
@@ -98,11 +98,11 @@ def answers(spikes: BoolArray, t: FloatArray, moves_s: FloatArray, interval_s: f
     """
     found, last = np.zeros(spikes.size, dtype=np.bool_), np.searchsorted(moves_s, t, side="right") - 1
     rows = np.flatnonzero(spikes & (last >= 0))
-    if moves_s.size < MOVES_THAT_TELL or moves_s.size * SAMPLES_A_MOVE > t.size:
+    if moves_s.size < FEWEST_MOVES or moves_s.size * SAMPLES_A_MOVE > t.size:
         return found
     lag = np.rint((t[rows] - moves_s[last[rows]]) / interval_s)
     for candidate_lag in np.unique(lag):
         together = rows[np.abs(lag - candidate_lag) <= 1.0]
-        if np.unique(last[together]).size >= max(MOVES_THAT_TELL, SHARE_OF_MOVES * moves_s.size):
+        if np.unique(last[together]).size >= max(FEWEST_MOVES, SHARE_OF_MOVES * moves_s.size):
             found[together] = True
     return found

@@ -96,15 +96,15 @@ class ActionCheck:
         """Return whether the PV still has time to return."""
         assert self._seen_s is not None  # noqa: S101 - narrows the type
         settings, watched_s = self._rested.settings, t - self._seen_s
-        patient_s = TURNING * (self._seen_s - self._started_s)
+        allowance_s = TURNING * (self._seen_s - self._started_s)
         if settings.hysteresis is not None:
-            return watched_s < patient_s
-        patient_s = max(patient_s, settings.quiet_duration_s)
-        if watched_s < patient_s:
+            return watched_s < allowance_s
+        allowance_s = max(allowance_s, settings.quiet_duration_s)
+        if watched_s < allowance_s:
             return True
-        if watched_s >= max(PATIENCE.values()) * patient_s:
+        if watched_s >= max(PATIENCE.values()) * allowance_s:
             return False
-        return watched_s < PATIENCE[inverse_sign(self._away, self._rested.quiet.noise_sigma)] * patient_s
+        return watched_s < PATIENCE[inverse_sign(self._away, self._rested.quiet.noise_sigma)] * allowance_s
 
 
 def inverse_sign(away: Sequence[float], noise_sigma: float) -> str:

@@ -131,9 +131,9 @@ def _least(rested: OperatingPoint) -> float:
 
 def _wanted(peak: float, rested: OperatingPoint) -> float:
     """Return the amplitude of the PV that is wanted; the present one where that will do."""
-    wish, least = rested.settings.pv_amplitude, _least(rested)
-    if wish is not None and not wish / NEAR <= peak <= wish * NEAR:
-        return max(wish, AIM * least)
+    requested, least = rested.settings.pv_amplitude, _least(rested)
+    if requested is not None and not requested / NEAR <= peak <= requested * NEAR:
+        return max(requested, AIM * least)
     return peak if peak >= least else AIM * least
 
 

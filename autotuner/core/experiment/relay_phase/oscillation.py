@@ -94,7 +94,7 @@ class Oscillation:
         """Take the uncertainty of a model that explains the record so far, see `Experiment.inform`."""
         self._model_error, self._expected_loss = model_error, expected_loss
 
-    def settings_seen(self) -> dict[str, object]:
+    def settings_so_far(self) -> dict[str, object]:
         """Return the relay and the rest it started from, JSON-ready."""
         return {
             "rest_pv": self._rested.quiet.pv,

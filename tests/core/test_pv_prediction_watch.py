@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from autotuner.core.recording import Sample
 from autotuner.core.safety.pv_prediction import PvWatch
-from autotuner.core.safety.watches import Seen
+from autotuner.core.safety.watches import SampleContext
 from autotuner.core.signals.windowed_trend import CERTAIN, Latest
 
 
@@ -75,7 +75,7 @@ def drive(plant, watch, output, until, noise=lambda: 0.0):
     while (plant.y < until) == upward:
         sample = plant.step(output)
         seen = Sample(sample.t, sample.pv + noise(), output)
-        verdict = watch.check(Seen(seen))
+        verdict = watch.check(SampleContext(seen))
         if verdict is not None:
             return verdict
     return None
@@ -84,7 +84,7 @@ def drive(plant, watch, output, until, noise=lambda: 0.0):
 def rest(plant, watch, noise=lambda: 0.0):
     for _ in range(30):
         sample = plant.step(0.0)
-        assert watch.check(Seen(Sample(sample.t, sample.pv + noise(), 0.0))) is None
+        assert watch.check(SampleContext(Sample(sample.t, sample.pv + noise(), 0.0))) is None
 
 
 @pytest.mark.parametrize(("lag_s", "delay"), [(20.0, 10), (50.0, 5), (10.0, 10)])
@@ -143,7 +143,7 @@ def test_noise_near_the_limit_is_no_motion():
     pv = np.clip(rng.standard_normal(4000), -4.0, 4.0)
     outputs = np.where(np.arange(4000) // 50 % 2, 10.0, -10.0)
     verdicts = [
-        watch.check(Seen(Sample(float(k), float(y), float(u))))
+        watch.check(SampleContext(Sample(float(k), float(y), float(u))))
         for k, (y, u) in enumerate(zip(pv, outputs, strict=True))
     ]
     assert not any(verdicts)
@@ -161,6 +161,6 @@ def test_the_swing_of_the_relay_is_not_held_against_it():
 def test_the_pv_at_rest_is_not_foreseen():
     """Before the output has moved a drift is none of its doing; only the limit itself counts."""
     watch = PvWatch((0.0, 100.0))
-    verdicts = [watch.check(Seen(Sample(float(k), 2.0 * k, 40.0))) for k in range(52)]
+    verdicts = [watch.check(SampleContext(Sample(float(k), 2.0 * k, 40.0))) for k in range(52)]
     assert [k for k, v in enumerate(verdicts) if v] == [51]
     assert verdicts[51].code == "pv_limit"

@@ -31,7 +31,7 @@ def found(name, interval95=None, **sizes):
 def test_what_acts_in_the_loop_is_counted(effect, changed):
     met = controller_view(PLANT, COVARIANCE, [effect])
     assert met.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5} | changed)
-    assert bool(met.said) is bool(changed)
+    assert bool(met.changes) is bool(changed)
 
 
 def test_the_error_of_the_gain_grows_with_the_gain():
