@@ -10,6 +10,7 @@ import numpy as np
 from autotuner.core.design.gains import gains_from_dict
 from autotuner.core.design.simulation.closed_loop_setup import Installed, responses
 from autotuner.core.diagnosis.findings.gain_comparison import lasts_s
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.reports.curves import kept
 from autotuner.reports.document import Grid, Picture, Section, Words, document
 from autotuner.reports.numbers import Units, named, parameter_unit, with_unit
@@ -300,7 +301,7 @@ def _spectrum(traces: Traces, before: FloatArray, after: FloatArray) -> Picture:
 
     def density(values: FloatArray) -> FloatArray:
         power = np.abs(np.fft.rfft(np.interp(even, traces.t, values) * np.hanning(even.size)))[1:] ** 2
-        result: FloatArray = np.log10(power / even.size + 1e-300)
+        result: FloatArray = np.log10(power / even.size + SMALLEST_DIVISOR)
         return result
 
     first, second = density(before), density(after)

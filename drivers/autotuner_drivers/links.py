@@ -14,6 +14,11 @@ from serial import SerialException  # type: ignore[import-untyped]  # pyserial h
 from autotuner.errors import DeviceTimeoutError, DriverError, LinkError
 from autotuner.ports import FIRST_PAUSE_S, LONGEST_PAUSE_S
 
+REMEMBERED: Final = 64
+"""Number of calls in the median of a latency: the last minute at a sample a second."""
+SHORTEST_WAIT_S: Final = 0.001
+"""Shortest wait for bytes or for silence, s: a wait of 0 would keep the processor busy."""
+
 
 class Backoff:
     """Exponential backoff between connection attempts, up to `LONGEST_PAUSE_S`; `reason` is the last error."""

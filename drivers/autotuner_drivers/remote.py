@@ -16,19 +16,17 @@ import contextlib
 import math
 from collections import deque
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from autotuner.errors import AutotunerError, DeviceTimeoutError, DriverError, LinkError
 from autotuner.ports import PV
-from autotuner_drivers.links import Backoff, link_error, put_off
+from autotuner_drivers.links import REMEMBERED, Backoff, link_error, put_off
 from autotuner_drivers.options import check_finite, check_names
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 
 T = TypeVar("T")
-REMEMBERED: Final = 64
-"""Number of calls in the median of the latency."""
 
 
 class Transport(Protocol):

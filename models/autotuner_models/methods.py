@@ -11,6 +11,7 @@ from autotuner_models.literature import METHODS, Method
 from autotuner_models.literature.trial import BIASED, FOPDT, SOPDT
 from autotuner_models.report import Cell, Column, ReportTable, percent_off
 from autotuner_models.shipped import provider
+from autotuner_models.thesis.data_sets import DECIBELS
 from autotuner_models.thesis.printed import OFFLINE, TABLES
 from autotuner_models.trials import trial_of
 
@@ -28,8 +29,6 @@ NAMED_ONLY: dict[tuple[str, str], str] = {
     ("5.6", "Lavanya et al."): "not stated: m 0.9869 n 0.4252 are those of eqs. 3.22, 3.23 on the stated A and Pu",
 }
 """Methods that the thesis names, by table, without a principle that could be implemented."""
-DECIBELS = 20.0
-"""Signal-to-noise ratio of the noisy table, dB: that of the thesis."""
 EXACT = "least_squares"
 EXACT_WITHIN = 1e-3
 """Relative error that least squares must stay under without noise."""

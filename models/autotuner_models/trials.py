@@ -18,6 +18,7 @@ import numpy as np
 from autotuner.core.design import UltimatePoint, apply_rule
 from autotuner.core.experiment.parallel_controller import Parallel
 from autotuner.core.recording import Recording, Sample
+from autotuner_models.learned.experiments import ON_SIGMA
 from autotuner_models.literature import Trial
 from autotuner_models.literature.trial import BESIDE, BIASED, DELAYED, HYSTERESIS, STEP, SYMMETRIC
 from autotuner_sim import PLANTS, SteppedPlant, find_limit_cycle, symmetric_relay
@@ -40,8 +41,6 @@ DEAD_ZONE = 0.1
 """Dead zone of the test with hysteresis, half width, in amplitudes."""
 SETTLED = 8.0
 """Length of the step test, in sums of all times of the process."""
-ON_SIGMA = 3.0
-"""Least dead zone under noise, in its standard deviations: half a relay's switches are then not the noise's."""
 
 
 def trial_of(structure: str, truth: Mapping[str, float], decibels: float | None = None, seed: int = 0) -> Trial:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import unit_step
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ PRICE = 10.0
 """Fall of the criterion that one more column has to bring: strong evidence (Raftery, Sociol. Methodol. 25, 1995)."""
 LEFT_OUT = 2.0
 """Penalty of an omitted sample, as of one more parameter in Akaike's criterion (1974)."""
-TINY = 1e-300
-"""Added to a variance that may be 0, PV units squared: the smallest normal double is 2e-308."""
 FLOOR = 1e-7
 """Residual that counts as none, as a share of the PV's swing."""
 SETTLING: tuple[Background, ...] = (("offset",), ("offset", "before"), ("offset", "state"))
@@ -126,7 +125,7 @@ def cheapest(
         Response columns whose gains are solved together with the background.
     """
     fits = {background: _fit(data, motion, delay_s, background, forced) for background in choices}
-    variance = min(mean_square for mean_square, _, _ in fits.values()) + floor_of(data) ** 2 + TINY
+    variance = min(mean_square for mean_square, _, _ in fits.values()) + floor_of(data) ** 2 + SMALLEST_DIVISOR
 
     def criterion(background: Background) -> float:
         mean_square, used, columns = fits[background]

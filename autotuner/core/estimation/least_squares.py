@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.estimation.backgrounds import PRICE, TINY, cheapest, floor_of
+from autotuner.core.estimation.backgrounds import PRICE, cheapest, floor_of
 from autotuner.core.estimation.candidate import Candidate
 from autotuner.core.estimation.data import ANY_GAIN
 from autotuner.core.estimation.drift import choices_beside, choices_of, starts_at_rest
 from autotuner.core.estimation.noise.outliers import answers, outliers
 from autotuner.core.estimation.optimiser import others_moved, refine, solve
 from autotuner.core.estimation.switch_times import LEAST_NOISE, settled
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.signals.noise import noise_sigma
 from autotuner.errors import InputError
 
@@ -134,7 +135,9 @@ def _with_background(data: Data, structure: Structure, prior: GainPrior, starts:
 def _priced(solution: Solution) -> float:
     """Return the score with the price of the background's columns, on the scale of its logarithm."""
     samples = max(int(np.count_nonzero(solution.problem.data.weight)), 1)
-    return math.log(max(solution.score, TINY)) + PRICE * solution.problem.linear(solution.theta).size / samples
+    return (
+        math.log(max(solution.score, SMALLEST_DIVISOR)) + PRICE * solution.problem.linear(solution.theta).size / samples
+    )
 
 
 def _settled(solution: Solution, data: Data, choices: tuple[Background, ...], prior: GainPrior) -> Solution:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.process import frequency_response
 from autotuner.core.signals.feedback import moves_all_the_time
 
@@ -66,7 +67,7 @@ def controller_of(recording: Recording) -> Controller | None:
     power = float(moves[inside] @ moves[inside])
     if np.count_nonzero(inside) < FEWEST or power <= 0.0:
         return None
-    scale = np.maximum(np.abs(columns[inside]).max(axis=0), 1e-300)
+    scale = np.maximum(np.abs(columns[inside]).max(axis=0), SMALLEST_DIVISOR)
     found = np.linalg.lstsq(columns[inside] / scale, moves[inside], rcond=None)[0]
     left = moves[inside] - columns[inside] / scale @ found
     if float(left @ left) > (1.0 - SURE) * power:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.process import STRUCTURES, ProcessModel, frequency_response, sum_of_lags
 from autotuner.core.quantiles import NORMAL_95
 
@@ -38,7 +39,7 @@ TOO_VAGUE = 0.5
 
 def turn_over_frequency(model: ProcessModel) -> float:
     """Return `w0`, rad/s."""
-    w = np.geomspace(1e-3, 1e3, 2001) / max(sum_of_lags(model) + model.D, 1e-300)
+    w = np.geomspace(1e-3, 1e3, 2001) / max(sum_of_lags(model) + model.D, SMALLEST_DIVISOR)
     phase = np.unwrap(np.angle(frequency_response(model, w) / model.K))
     beyond = np.flatnonzero(phase <= TURN_OVER)
     return float(w[beyond[0]] if beyond.size else w[1000])

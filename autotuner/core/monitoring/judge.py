@@ -23,6 +23,7 @@ import numpy as np
 from autotuner.core.design import margins, ultimate_point
 from autotuner.core.estimation.simulation import simulate_fit
 from autotuner.core.identification import identify
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.monitoring.changes import Change, Expected, Findings
 from autotuner.core.monitoring.friction import error_beside_wave, likeliest_friction
 from autotuner.core.monitoring.oscillation import Oscillation, oscillation_of
@@ -55,8 +56,6 @@ SETTLING = 5
 """Share, as a divisor, of the time after a set-point move that is reserved for the response."""
 SHAPE = 50.0
 """Samples in a period that show the shape of an oscillation."""
-TINY = 1e-300
-"""Smallest divisor: the residual of a PV without noise is judged without dividing by 0."""
 
 
 class _Found(NamedTuple):
@@ -168,7 +167,7 @@ class _JudgedWindow:
             )
         if self.missed < VISIBLE * self.sigma:
             return None
-        times = self.missed / max(self.sigma, TINY)
+        times = self.missed / max(self.sigma, SMALLEST_DIVISOR)
         message = f"The model does not explain the PV: {times:.3g} times the noise."
         return self._finding(
             "disturbed", message, "None, if loads of this size are usual; a set-point step would show more."

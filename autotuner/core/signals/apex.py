@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
+
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
@@ -26,8 +28,6 @@ WINDOW = 0.06
 """Half width of the fit, in periods: short against the curvature of the sides."""
 FEWEST = 8
 """Samples in the window that a fit needs."""
-TINY = 1e-300
-"""Residual of an exact fit, for the logarithm."""
 RIDGE = 1e-13
 """Relative weight of a small slope, which decides where the samples do not."""
 CORNERS = np.linspace(-0.5, 0.5, 21)
@@ -56,7 +56,7 @@ def apex(t: FloatArray, pv: FloatArray, period_s: float, interval_s: float | Non
     round_misfit, c = _fit(np.column_stack((np.ones_like(tau), tau, tau * tau)), y)
     corner_misfit, height = _corner(tau, y)
     # the corner has one parameter more than the parabola: its place
-    gain = tau.size * math.log(max(round_misfit, TINY) / max(corner_misfit, TINY)) - 2.0
+    gain = tau.size * math.log(max(round_misfit, SMALLEST_DIVISOR) / max(corner_misfit, SMALLEST_DIVISOR)) - 2.0
     weight = 1.0 / (1.0 + math.exp(-min(max(gain, -100.0), 100.0) / 2.0))
     return weight * height + (1.0 - weight) * _top_of_parabola(c, y)
 

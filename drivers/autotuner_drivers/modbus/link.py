@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Final
 from pymodbus.exceptions import ModbusException, ModbusIOException
 
 from autotuner.errors import DeviceTimeoutError, DriverError
-from autotuner_drivers.links import REPEAT, GarbledAnswerError
+from autotuner_drivers.links import REMEMBERED, REPEAT, SHORTEST_WAIT_S, GarbledAnswerError
 from autotuner_drivers.modbus.joint_reads import JointReads
 from autotuner_drivers.modbus.open_line import PORTS, OpenLine
 from autotuner_drivers.modbus.overlap import FRAMER, HEADER_BYTES, Overlap
@@ -64,11 +64,6 @@ SLOW_LINE_S: Final = 0.05
 """From this round trip on requests overlap: on faster lines that gains nothing, and some servers lose requests."""
 LOSSES: Final = 2
 """After so many losses of the connection in a row while requests overlapped, they no longer do: one may be a fault."""
-
-SHORTEST_WAIT_S: Final = 0.001
-"""Shortest sleep while the line has to be silent, s: one of 0 would spin."""
-REMEMBERED: Final = 64
-"""Answers whose times are remembered."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,18 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from statistics import median
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from autotuner.errors import DeviceTimeoutError, LinkError
-from autotuner_drivers.links import REPEAT, Backoff, GarbledAnswerError, link_error, put_off
+from autotuner_drivers.links import (
+    REMEMBERED,
+    REPEAT,
+    SHORTEST_WAIT_S,
+    Backoff,
+    GarbledAnswerError,
+    link_error,
+    put_off,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable
@@ -27,10 +35,6 @@ if TYPE_CHECKING:
     from autotuner_drivers.serial.protocol import Exchange, Split
 
 T = TypeVar("T")
-SHORTEST_WAIT_S: Final = 0.001
-"""Shortest wait for bytes or for silence, s: a wait of 0 would keep the processor busy."""
-REMEMBERED: Final = 64
-"""Number of answers in the median of the latency."""
 
 
 class Port(Protocol):

@@ -17,6 +17,7 @@ from statistics import fmean, median
 from typing import TYPE_CHECKING, Final, Protocol
 
 from autotuner.errors import InputError
+from autotuner_drivers.testing.probe import MAD_TO_SIGMA
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -108,7 +109,7 @@ class Found:
     @property
     def noise(self) -> float:
         """Standard deviation of the noise, from the median change between readings."""
-        return 1.4826 * median(abs(step) for step in self.steps) / math.sqrt(2.0) if self.steps else 0.0
+        return MAD_TO_SIGMA * median(abs(step) for step in self.steps) / math.sqrt(2.0) if self.steps else 0.0
 
     @property
     def plausible(self) -> bool:

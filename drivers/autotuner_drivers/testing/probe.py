@@ -28,8 +28,8 @@ MARGIN: Final = 1.5
 """Ratio of the advised sample time to the 95 % quantile of the duration of a reading."""
 SHORTEST_SAMPLE_S: Final = 0.01
 """Shortest advised sample time, and pause between two readings, s."""
-GAUSSIAN: Final = 1.4826
-"""Ratio of the standard deviation to the median absolute deviation of Gaussian noise."""
+MAD_TO_SIGMA: Final = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 ROUNDING: Final = 1e-12
 """Relative change of a value below which a change is rounding."""
 
@@ -155,7 +155,7 @@ def judge(readings: Sequence[Reading], pv_limits: tuple[float, float] = (-math.i
         pv_low=min(pvs, default=math.nan),
         pv_high=max(pvs, default=math.nan),
         fresh_every_s=fresh_s,
-        pv_noise=GAUSSIAN * median(changes) / math.sqrt(2.0) if changes else math.nan,
+        pv_noise=MAD_TO_SIGMA * median(changes) / math.sqrt(2.0) if changes else math.nan,
         pv_resolution=min(changes, default=math.nan),
         values=valid[-1].values if valid else {},
         sample_time_s=_sample_time(slowest_s, fresh_s),

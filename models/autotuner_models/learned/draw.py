@@ -16,7 +16,7 @@ import numpy as np
 from autotuner.core.identification.learned.correction import features, shape_features
 from autotuner.core.identification.limit_cycle.harmonic_start import start
 from autotuner.core.identification.limit_cycle.relay_harmonics import RelayWaves, cycles_of, waves
-from autotuner_models.learned.experiments import Processes, Relays, run
+from autotuner_models.learned.experiments import ON_SIGMA, Processes, Relays, run
 
 if TYPE_CHECKING:
     from autotuner_models.learned.experiments import Numbers, Records, Rows
@@ -32,8 +32,6 @@ SAME = 0.25
 """Relative difference of the last two periods up to which a record is an oscillation that repeats."""
 LARGEST_GAIN_ERROR = 0.3
 """Relative standard error of a gain up to which a model is shown that gain."""
-ON_SIGMA = 3.0
-"""Least dead zone, half width, in standard deviations of the noise."""
 LEAST_NOISE = 1e-4
 """Standard deviation of the noise, over the amplitude, under which a record is free of noise."""
 NOISY = 0.75

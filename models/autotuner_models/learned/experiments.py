@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     Numbers = NDArray[np.float64]
     Rows = NDArray[np.intp]
 
+ON_SIGMA = 3.0
+"""Least dead zone of a relay under noise, half width, in its standard deviations: half the switches are then not the
+noise's."""
+
 
 class Processes(NamedTuple):
     """Processes `b/(a0 + a1 s + a2 s^2) e^{-Ds}`, one an element; first order where `a2 = 0`."""

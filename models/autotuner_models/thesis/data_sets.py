@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from autotuner_models.learned.experiments import Processes, Relays, run
+from autotuner_models.estimates import H
+from autotuner_models.learned.experiments import ON_SIGMA, Processes, Relays, run
 from autotuner_sim.relay.batch import relay_tests, run_relay_tests
 
 if TYPE_CHECKING:
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 
     Numbers = NDArray[np.float64]
 
-H = 1.0
-"""Relay amplitude: the thesis uses 1 throughout."""
 T_GRID = np.arange(1.0, 20.25, 0.5)
 N_GRID = np.arange(0.3, 9.0, 0.1)
 FIRST_PAIR, LAST_PAIR = (1.0, 2.0), (9.0, 8.0)
@@ -51,8 +50,6 @@ DECIBELS = 20.0
 """Signal-to-noise ratio of the noisy records, dB: that of the thesis."""
 PER_PERIOD, PERIODS, SETTLING = 200, 8, 3
 """Samples a period of the noisy records, periods read, and periods before them that are not."""
-ON_SIGMA = 3.0
-"""Dead zone of the relay, half width, in standard deviations of the noise."""
 BAND = (0.4, 12.0)
 """Corners of the band-pass, in frequencies of the oscillation."""
 

@@ -19,6 +19,7 @@ import scipy
 
 from autotuner.core.estimation.linear_least_squares import residual_after
 from autotuner.core.estimation.noise.ar_noise import Coloured, even_runs, memory_of
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.signals.noise import autocorrelation, rms
 
 if TYPE_CHECKING:
@@ -95,5 +96,5 @@ def _follows_output(context: FitContext, rows: IntArray, white: FloatArray) -> b
     past = white[PAST:] - white[PAST:].mean()
     kept = residual_after(columns, past)
     freedom = past.size - columns.shape[1]
-    ratio = (float(past @ past) / max(float(kept @ kept), 1e-300) - 1.0) * freedom / PAST
+    ratio = (float(past @ past) / max(float(kept @ kept), SMALLEST_DIVISOR) - 1.0) * freedom / PAST
     return bool(scipy.stats.f.sf(ratio, PAST, freedom) < SURE)

@@ -20,6 +20,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Searched, View
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
@@ -399,7 +400,7 @@ def _step(
 ) -> tuple[_Point | None, float]:
     """Return a better point, None without any, and the damping for the next step."""
     gradient, normal = J.T @ point.residual, J.T @ J
-    scale = np.maximum(np.diag(normal), 1e-12 * max(float(np.trace(normal)), 1e-300))
+    scale = np.maximum(np.diag(normal), 1e-12 * max(float(np.trace(normal)), SMALLEST_DIVISOR))
     blocked = ((point.theta <= low) & (gradient > 0.0)) | ((point.theta >= high) & (gradient < 0.0))
     free = np.flatnonzero(~blocked)
     if not free.size:

@@ -21,6 +21,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import NORMAL_95
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def doubts_about_errors(selection: Misfit, later: Misfit) -> list[str]:
     if selection.after > max(selection.before, VISIBLE * selection.expected):
         reasons.append("the effects make the error on the selection part larger")
     if later.after > FEW * later.expected:
-        ratio = later.after / max(later.expected, 1e-300)
+        ratio = later.after / max(later.expected, SMALLEST_DIVISOR)
         reasons.append(
             f"the error grows to {ratio:.1f} times what noise leaves on the later half of the selection part"
         )

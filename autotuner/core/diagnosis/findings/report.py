@@ -29,6 +29,7 @@ from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.diagnosis.search.judge import noise_of
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.process import model_to_dict
 from autotuner.core.signals.noise import rms
 
@@ -192,7 +193,7 @@ def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
     if _is_refuted(held):
         notes.append(TEST_REFUTES.format(held.after, held.before))
     if held.after > FEW * held.expected:
-        notes.append(TEST_FAILS.format(held.after / max(held.expected, 1e-300)))
+        notes.append(TEST_FAILS.format(held.after / max(held.expected, SMALLEST_DIVISOR)))
     if coloured is not None:
         notes.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
     return notes
@@ -297,7 +298,7 @@ def _notes(
     model: ProcessModel | None,
 ) -> tuple[str, ...]:
     fitted = error["fitted"]
-    remains = fitted.after / max(fitted.expected, 1e-300)
+    remains = fitted.after / max(fitted.expected, SMALLEST_DIVISOR)
     t = context.dataset.data.t
     notes = [
         *(note for e in effects for note in separating(e.name, e.indistinguishable)),
@@ -332,7 +333,7 @@ def _summary(
     verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], blind: Sequence[Spot]
 ) -> str:
     held = error["held_out"]
-    noise = max(held.noise, 1e-300)
+    noise = max(held.noise, SMALLEST_DIVISOR)
     ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
     names = " and ".join(e.name for e in effects)
     if effects and verdict != "unexplained" and _is_refuted(held):

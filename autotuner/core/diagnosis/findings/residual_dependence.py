@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
+
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
@@ -82,7 +84,7 @@ def dependences(context: FitContext, candidate: Fitted, noise: float) -> tuple[D
     residual = dataset.data.pv[rows] - candidate.simulated(rows)
     fitted = dataset.fitted[rows]
     left = residual[~fitted]
-    missing = 1.0 - noise**2 / max(float(np.var(left)), 1e-300) if left.size else 0.0
+    missing = 1.0 - noise**2 / max(float(np.var(left)), SMALLEST_DIVISOR) if left.size else 0.0
     if missing <= 0.0:
         return ()
     tenth = np.minimum(np.arange(rows.size) * TENTHS // rows.size, TENTHS - 1)
@@ -127,10 +129,10 @@ def _variables(context: FitContext, rows: np.ndarray) -> dict[str, FloatArray]:
 
 def _share(values: FloatArray, residual: FloatArray, learned: BoolArray) -> tuple[float, str]:
     """Return the explained share of the best polynomial on held-out samples, and its shape."""
-    x = (values - values[learned].mean()) / max(float(np.std(values[learned])), 1e-300)
+    x = (values - values[learned].mean()) / max(float(np.std(values[learned])), SMALLEST_DIVISOR)
     x = np.clip(x, x[learned].min(), x[learned].max())
     others = residual[~learned] - residual[~learned].mean()
-    whole = max(float(others @ others), 1e-300)
+    whole = max(float(others @ others), SMALLEST_DIVISOR)
     best, shape = 0.0, SHAPES[1]
     levels = np.unique(x[learned]).size
     for degree, words in SHAPES.items():

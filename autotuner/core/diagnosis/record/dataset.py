@@ -17,6 +17,7 @@ import numpy as np
 from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
 from autotuner.core.diagnosis.record.sensor import visible_jumps
 from autotuner.core.estimation.data import Data
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import held_input, smooth_input
 from autotuner.core.signals.noise import noise_sigma
 
@@ -278,4 +279,4 @@ def _of_a_wave(resting: FloatArray) -> float:
     cc, ss, cs = (np.einsum("ij,ij->i", a, b) for a, b in ((c, c), (s, s), (c, s)))
     bc, bs = c @ left, s @ left
     explained = (ss * bc**2 - 2.0 * cs * bc * bs + cc * bs**2) / np.maximum(cc * ss - cs**2, 1e-12)
-    return float(explained.max()) / max(float(left @ left), 1e-300)
+    return float(explained.max()) / max(float(left @ left), SMALLEST_DIVISOR)

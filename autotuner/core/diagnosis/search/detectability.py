@@ -20,6 +20,7 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisatio
 from autotuner.core.diagnosis.search.judge import VISIBLE
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +69,7 @@ def blind_spots(context: FitContext, chosen: Fitted, noise: float) -> list[Spot]
         Standard deviation of the noise, PV.
     """
     dataset = context.dataset
-    levels = np.unique(np.round(dataset.data.held.levels / max(dataset.swing, 1e-300), 2))
+    levels = np.unique(np.round(dataset.data.held.levels / max(dataset.swing, SMALLEST_DIVISOR), 2))
     turns = np.sign(np.diff(dataset.data.held.levels))
     never_turns = int(np.count_nonzero(np.diff(turns[turns != 0.0]))) < FEW_TURNS
     spots = []

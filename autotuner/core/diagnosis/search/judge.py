@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, noise_at_rest
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
     inflated = context.colour(after)
     left = context.dataset.floor**2
     noise = min(noise_of(context, after) ** 2, after.mean_square)
-    there = max(before.mean_square - noise, 1e-300)
+    there = max(before.mean_square - noise, SMALLEST_DIVISOR)
     return Evidence(
         context.criterion(before, inflated) - context.criterion(after, inflated),
         *held_out_gain(context, before, after),
@@ -157,7 +158,7 @@ def is_shown(before: float, after: float) -> bool:
 
 def _part_of_fall(alone: float, before: float, after: float) -> float:
     """Return the last step's part of a fall of squares; 0 where none is shown."""
-    return (before - after) / max(alone - after, 1e-300) if is_shown(before, after) else 0.0
+    return (before - after) / max(alone - after, SMALLEST_DIVISOR) if is_shown(before, after) else 0.0
 
 
 def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fitted) -> bool:

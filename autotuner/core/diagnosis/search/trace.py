@@ -42,6 +42,7 @@ from autotuner.core.diagnosis.search.simplify import (
     with_plain_play,
     with_plain_step,
 )
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def _in_place_of_flow(context: FitContext, base: Base, chosen: Fitted) -> list[F
 
 def _how_far(context: FitContext, best: Fitted) -> str:
     names = " and ".join(dict.fromkeys(best.reported_names()))
-    return f"best so far {names}: {best.rms / max(noise_of(context, best), 1e-300):.1f} times the noise"
+    return f"best so far {names}: {best.rms / max(noise_of(context, best), SMALLEST_DIVISOR):.1f} times the noise"
 
 
 def _with_jump(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:

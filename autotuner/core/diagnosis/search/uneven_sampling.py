@@ -18,6 +18,7 @@ import numpy as np
 from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation, rms
 
 if TYPE_CHECKING:
@@ -147,14 +148,14 @@ def jitter_of(residual: FloatArray, slope: FloatArray, sigma: float) -> tuple[fl
     """
     e2, s2 = residual**2, slope**2
     constant = -0.5 * residual.size * (math.log(e2.mean()) + 1.0) if e2.mean() > 0.0 else 0.0
-    largest = math.sqrt(float(e2.mean()) / max(float(s2.mean()), 1e-300))
+    largest = math.sqrt(float(e2.mean()) / max(float(s2.mean()), SMALLEST_DIVISOR))
     best, found = -math.inf, 0.0
     for tau in largest * np.linspace(0.2, 1.6, 15):
         v = max(sigma, 1e-3 * math.sqrt(float(e2.mean()))) ** 2 + tau**2 * s2
         likelihood = -0.5 * float(np.sum(np.log(v) + e2 / v))
         if likelihood > best:
             best, found = likelihood, float(tau)
-    scaled = residual / np.sqrt(sigma**2 + found**2 * s2 + 1e-300)
+    scaled = residual / np.sqrt(sigma**2 + found**2 * s2 + SMALLEST_DIVISOR)
     return found, (best - constant) / inflation(scaled)
 
 

@@ -23,6 +23,7 @@ import scipy
 
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
@@ -191,5 +192,5 @@ class _Part:
         answer = positions @ self.answers.T
         own = answer - (answer @ self.basis) @ self.basis.T
         squares = np.einsum("ij,ij->i", own, own)
-        falls: FloatArray = (own @ self.left) ** 2 / np.maximum(squares, 1e-300)
+        falls: FloatArray = (own @ self.left) ** 2 / np.maximum(squares, SMALLEST_DIVISOR)
         return falls

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.effects.actuator.levels import SAME
 from autotuner.core.diagnosis.extended.effect import Effect, Place
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 FEW, KNOTS = 7, 7
 """Levels up to which each is a knot, and knots where there are more."""
-SAME = 1e-3
-"""Difference of output levels, in swings, that counts as zero."""
 VISITS = 2
 """Moves for each knot that confirm its position."""
 BACK = 0.03

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
@@ -226,5 +227,5 @@ def _latenesses(
     residual = problem.dataset.data.pv[rows] - base.simulated(rows)
     normal = J.T @ J
     normal[np.diag_indices_from(normal)] *= 1.0 + RIDGE
-    normal[np.diag_indices_from(normal)] += 1e-300
+    normal[np.diag_indices_from(normal)] += SMALLEST_DIVISOR
     return np.linalg.solve(normal, J.T @ residual), np.diag(normal) / np.diag(normal).max()

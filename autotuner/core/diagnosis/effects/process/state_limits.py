@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.process.stepping import WIDE
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 STORES = "stores"
 """Form of `state_saturation`."""
-WIDE = 1e6
-"""Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
 FURTHEST = 1.5
 """Furthest initial level, in swings of the output."""
 

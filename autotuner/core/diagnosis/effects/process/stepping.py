@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states
 
@@ -169,7 +170,7 @@ def _newton(
     w: FloatArray,
 ) -> FloatArray | None:
     """Return the course on which `f` equals its linearisation, started at `w`; None without convergence."""
-    size = float(np.abs(w).max()) + 1e-300
+    size = float(np.abs(w).max()) + SMALLEST_DIVISOR
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(NEWTON_STEPS):
             steep = slope(w)
