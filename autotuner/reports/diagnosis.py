@@ -61,7 +61,7 @@ def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
 
 
 def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tuning: bool = False) -> list[Section]:
-    """Return the sections: they may stand in a tuning's report, too.
+    """Return the sections: they may be part of a tuning's report, too.
 
     There process and gains are reported already; they are repeated only where the effects change them.
     """

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MOMENTS = 150
 """Moments at which a load is tried."""
 FOLLOWED = 0.5
-"""Share of the PV's motion on the part not fitted that has to be seen, and met, before the load."""
+"""Share of the PV's motion on the part not fitted that the model has to explain before the load."""
 FEWEST = 10
 """Samples before the load, and after it, at least."""
 
@@ -93,7 +93,7 @@ def late_load(model: ProcessModel, recording: Recording, fitted_until_s: float, 
 
 
 def _first_moment(model: ProcessModel, recording: Recording, judged: BoolArray) -> int | None:
-    """Return the first judged sample at which the PV has followed enough for a load to be told from a wrong gain."""
+    """Return the first judged sample at which the PV has followed enough to distinguish a load from a wrong gain."""
     moved = response(model, recording.acts_s, recording.output - recording.output[0], recording.t)[judged]
     if moved.size < 2 * FEWEST + 1:
         return None

@@ -143,7 +143,7 @@ def _from_other(found: Identification, moved: str, every_s: float) -> ProcessMod
     if SILENT.format(moved) in found.warnings:
         return None
     raise InputError(
-        "cannot be told from the loop's own output in this record",
+        "cannot be distinguished from the loop's own output in this record",
         field=moved,
         remedy="Move the two outputs at different times, and more often.",
     )

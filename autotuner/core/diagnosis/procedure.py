@@ -167,7 +167,7 @@ class _Record:
     def with_beginning(self, first: tuple[FitContext, Base]) -> tuple[_Record, tuple[FitContext, Base]]:
         """Return the same that begins at rest, or cold, where that is closer on both parts than from any state.
 
-        A free initial state takes up what a further column of the record explains.
+        A free initial state absorbs what a further column of the record explains.
         """
         dataset = first[0].dataset
         if dataset.settled_first or dataset.in_loop or not dataset.extra or self.model is not None:

@@ -68,7 +68,7 @@ def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start
     """Return a known model as the start for a structure of at most two lags, its own or a near one; else none.
 
     With fewer lags than the model, half of the second lag goes to the first and half to the dead time (half rule;
-    Skogestad, J. Process Control 13, 2003). With more, the second is short. An integrator and a long lag stand for each
+    Skogestad, J. Process Control 13, 2003). With more, the second is short. An integrator and a long lag replace each
     other.
     """
     a0, n, m = (-1.0, 0.0, 0.0) if model is None else model.rational().a[:3]

@@ -44,7 +44,7 @@ FEW, SAME_AS_FEW, SAME_AS_MANY = 3, 0.08, 0.04
 SCATTER = 3.0
 """Standard deviations of the later half periods within which earlier ones still belong to them."""
 FEWEST_SWITCHES = 4
-"""Fewest switches of a limit cycle: a period and a half, so that each half period is met whole."""
+"""Fewest switches of a limit cycle: a period and a half, so that each half period is complete once."""
 STEADY_SHARE = 0.3
 """Part of all switches that has to repeat: in a random binary sequence a few do by chance."""
 CHATTER = 0.1

@@ -25,7 +25,7 @@ class LineSettings:
     Attributes
     ----------
     patience_s : float
-        Longest time from a request to an answer that is still believed to come: the time limit of the answer and what
+        Longest time from a request to an answer that may still arrive: the time limit of the answer and what
         it may be late.
     gap_s : float
         Silence that ends a message.

@@ -10,7 +10,7 @@ Options, beside `transport` = "tcp" (default), "tls", "rtu", "rtu_over_tcp", "as
     parity = "E"                         # "rtu": N, E or O
     stopbits = 1                         # "rtu"
     echo = false                         # both RTU: a two-wire adapter sends back what is sent
-    late_answer_s = 0.5                  # both RTU: after the time limit, an answer is believed to come for so long;
+    late_answer_s = 0.5                  # both RTU: after the time limit, an answer may still arrive for so long;
                                          # default timeout_s, and 0.5 at least
     gap_s = 0.05                         # both RTU: silence that ends a message
     pause_s = 0.005                      # both RTU: silence between an answer and the next request

@@ -270,7 +270,7 @@ class ModbusLink:
         return answers, sent_s
 
     def _take(self, exchange: Exchange, answer: ModbusPDU, sent_s: float, answered_s: float) -> None:
-        """Take an answer that was heard."""
+        """Take an answer that was received."""
         try:
             exchange.words = self._checked(exchange.request, answer)
         except DriverError as error:
@@ -333,7 +333,7 @@ class ModbusLink:
         return request.words_of(answer)
 
     async def _settled(self, watch: LineWatch, expected: int) -> None:
-        """Wait until the line owes no answer, or none is believed to come any more."""
+        """Wait until no answer is pending on the line, or none can arrive any more."""
         loop = asyncio.get_running_loop()
         while True:
             wait_s = watch.ready_s() - loop.time()

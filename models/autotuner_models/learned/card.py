@@ -38,8 +38,8 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
         + ".",
         "",
         "Input: harmonics of PV and output over the last whole cycles, static gain with its error. Output: corrected",
-        "parameters with predicted standard errors. Everything is without unit inside, so one model serves any time",
-        "scale and gain. Outside of the box and the scatter of its training features it refuses.",
+        "parameters with predicted standard errors. All quantities are dimensionless, so one model serves any time",
+        "scale and gain. The correction refuses features outside the range and the scatter of its training data.",
         "",
         "## Errors on experiments that were not trained on",
         "",
@@ -68,9 +68,10 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
             "",
             "## Families compared",
             "",
-            "Share of the start's error (first coordinate, in its own spread) that is left,",
-            f"mean square over three folds: 1 is nothing learned; on {COMPARED_ROWS} rows. Boosted trees are a",
-            "little ahead at times; networks were taken because one small pass answers for all, errors included.",
+            "Mean square of the error after the correction, relative to that of the start (first coordinate, in its",
+            f"own spread), over three folds of {COMPARED_ROWS} rows. A value of 1 means that nothing was learned.",
+            "Boosted trees are slightly better for some structures. The networks are used because one small network",
+            "returns all parameters and their errors.",
             "",
             "| structure | linear | boosted trees | network |",
             "|---|---|---|---|",
@@ -79,7 +80,7 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
             families = one.metrics["families"]
             assert isinstance(families, dict)  # noqa: S101
             lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
-    lines += ["", "## Structures told apart by the shape of the wave", "", "| structure | right |", "|---|---|"]
+    lines += ["", "## Structures distinguished by the shape of the wave", "", "| structure | right |", "|---|---|"]
     classes = manifest["metrics"]["classes"]  # type: ignore[index]
     lines += [f"| {name} | {PERCENT * share:.0f} % |" for name, share in classes.items()]
     lines += ["", f"![Errors before and after the correction]({PICTURE})", ""]
@@ -94,12 +95,12 @@ def _most_noise(manifest: Mapping[str, object]) -> float:
 def _use() -> list[str]:
     return [
         "",
-        "## Where it stands",
+        "## Use",
         "",
-        f"Beside the other estimators on the same records: [{COMPARISON}]({COMPARISON}). Least squares, which uses the",
-        "whole record, is more accurate in every row there and takes some fifteen times longer. It is what is",
-        "recommended wherever it answers; this one is for the time before it does: after each half period while the",
-        "relay runs, and when there is no time for a fit.",
+        f"[{COMPARISON}]({COMPARISON}) compares all estimators on the same records. Least squares uses the whole record.",
+        "It is more accurate in every row there, takes about fifteen times longer, and is recommended wherever it has",
+        "an answer. The learned correction is for the time before: after each half period while the relay runs, and",
+        "when there is no time for a fit.",
     ]
 
 

@@ -148,7 +148,7 @@ def find_limit_cycle(plant: Plant, relay: Relay) -> LimitCycle:
             return cycle
     raise ValueError(
         f"{plant} has not settled on a cycle with two switches a period within {_ATTEMPTS[-1]} switches under {relay}. "
-        "Look at the run itself, or give more damping or a larger hysteresis."
+        "Read the run itself, or give more damping or a larger hysteresis."
     )
 
 

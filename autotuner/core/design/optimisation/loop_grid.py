@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
 
 FREQUENCIES_PER_DECADE = 80
-"""Frequencies of the search grid per decade: a peak of a damping ratio of 0.3 is met to 0.1 % of its height."""
+"""Frequencies of the search grid per decade: the height of a peak of a damping ratio of 0.3 is exact to 0.1 %."""
 TIMES_PER_DECADE = 50
 """Times of a step response per decade; the response is smooth in the logarithm of the time."""
 SHORTEST_SHARE = 1e-4

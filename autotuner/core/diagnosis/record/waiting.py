@@ -7,7 +7,7 @@
 
 A valve that sticks lets the PV rest far longer than the process needs to answer, while the integral action moves the
 output on; then the PV jumps to another level (the parallelogram of output and PV; the waiting times of Yamashita, ISA
-Transactions 45, 2006, and of Kano, Maruta, Kugemoto, Shimizu, DYCOPS 2004). Where the PV goes along with every move of
+Transactions 45, 2006, and of Kano, Maruta, Kugemoto, Shimizu, DYCOPS 2004). Where the PV follows every move of
 the output, nothing sticks.
 """
 
@@ -59,7 +59,7 @@ class Waiting:
     sticks : bool
         Whether the PV waits while the output travels, and jumps.
     follows : bool
-        Whether the PV goes along with every move of the output.
+        Whether the PV follows every move of the output.
     travels : tuple of float
         How far the output moves while the PV waits, output units; of many waits some.
     largest_step : float

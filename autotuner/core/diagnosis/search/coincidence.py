@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
 
 FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
-"""Moves up to which an event that begins with the answer to one is not told from it; samples that coincide; and the
-share of the record that lies so near to an answer from which it is chance."""
+"""Most moves for which an event at the response to one is not distinguished from it; samples that coincide; and the share
+of the record that lies so near to a response that a coincidence is chance."""
 LOAD = "load_step"
 BEGINS, LASTS = "at_s", "lasts_s"
 

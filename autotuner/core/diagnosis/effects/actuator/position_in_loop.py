@@ -8,7 +8,7 @@
 background and slopes. A controller moves the output at every sample, so that no move and no level has an answer of its
 own; the whole position has one, and thousands are tried.
 
-The process alone has taken up half of an update period as dead time, which is given back. A period is known the better
+The process alone has taken up half of an update period as dead time, which is added again. A period is known the better
 the longer the record: over `W` samples, one that is off by `1/(4 W)` updates a sample loses a quarter of its phase. So
 all periods are tried on the part of the record with most motion, and the best of them, ever finer, on all of it.
 """
