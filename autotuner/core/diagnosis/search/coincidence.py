@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
 
 FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
-"""Most moves for which an event at the response to one is not distinguished from it; samples that coincide; and the share
+"""Most moves for which an event at the response to one is not distinguished from it; samples that coincide; the share
 of the record that lies so near to a response that a coincidence is chance."""
 LOAD = "load_step"
 BEGINS, LASTS = "at_s", "lasts_s"
