@@ -63,28 +63,34 @@ def card(manifest: Mapping[str, object], trained: Mapping[str, Trained]) -> str:
             row = " | ".join(f"{PERCENT * cell:.3g} %" for cell in cells)
             lines.append(f"| {name} | {coordinate} | {row} | {PERCENT * within[i]:.1f} % |")
     lines += _use()
-    if all(one.metrics["families"] for one in trained.values()):
-        lines += [
-            "",
-            "## Families compared",
-            "",
-            "Mean square of the error after the correction, relative to that of the start (first coordinate, in its",
-            f"own spread), over three folds of {COMPARED_ROWS} rows. A value of 1 means that nothing was learned.",
-            "Boosted trees are slightly better for some structures. The networks are used because one small network",
-            "returns all parameters and their errors.",
-            "",
-            "| structure | linear | boosted trees | network |",
-            "|---|---|---|---|",
-        ]
-        for name, one in trained.items():
-            families = one.metrics["families"]
-            assert isinstance(families, dict)  # noqa: S101
-            lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
+    lines += _families(trained)
     lines += ["", "## Structures distinguished by the shape of the wave", "", "| structure | right |", "|---|---|"]
     classes = manifest["metrics"]["classes"]  # type: ignore[index]
     lines += [f"| {name} | {PERCENT * share:.0f} % |" for name, share in classes.items()]
     lines += ["", f"![Errors before and after the correction]({PICTURE})", ""]
     return "\n".join(lines)
+
+
+def _families(trained: Mapping[str, Trained]) -> list[str]:
+    if not all(one.metrics["families"] for one in trained.values()):
+        return []
+    lines = [
+        "",
+        "## Families compared",
+        "",
+        "Mean square of the error after the correction, relative to that of the start (first coordinate, in its",
+        f"own spread), over three folds of {COMPARED_ROWS} rows. A value of 1 means that nothing was learned.",
+        "Boosted trees are slightly better for some structures. The networks are used because one small network",
+        "returns all parameters and their errors.",
+        "",
+        "| structure | linear | boosted trees | network |",
+        "|---|---|---|---|",
+    ]
+    for name, one in trained.items():
+        families = one.metrics["families"]
+        assert isinstance(families, dict)  # noqa: S101
+        lines.append(f"| {name} | " + " | ".join(f"{value:.3f}" for value in families.values()) + " |")
+    return lines
 
 
 def _most_noise(manifest: Mapping[str, object]) -> float:
@@ -97,10 +103,10 @@ def _use() -> list[str]:
         "",
         "## Use",
         "",
-        f"[{COMPARISON}]({COMPARISON}) compares all estimators on the same records. Least squares uses the whole record.",
-        "It is more accurate in every row there, takes about fifteen times longer, and is recommended wherever it has",
-        "an answer. The learned correction is for the time before: after each half period while the relay runs, and",
-        "when there is no time for a fit.",
+        f"[{COMPARISON}]({COMPARISON}) compares all estimators on the same records. Least squares uses the whole",
+        "record. It is more accurate in every row there, takes about fifteen times longer, and is recommended wherever",
+        "it has an answer. The learned correction is for the time before: after each half period while the relay runs,",
+        "and when there is no time for a fit.",
     ]
 
 
