@@ -1,6 +1,7 @@
 """A model that does not explain its record gets no gains, unless a named effect beside it does."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +27,21 @@ def test_a_model_that_explains_its_record_gets_gains(recording):
     analysis = analyse(recording)
     assert analysis.verdict.code == "identified"
     assert analysis.gains is not None
+
+
+@pytest.mark.parametrize(("held_out", "alone", "asks"), [(0.05, True, False), (0.5, True, True), (0.05, False, True)])
+def test_a_disturbance_beside_a_model_that_leaves_noise_asks_for_nothing(recording, held_out, alone, asks):
+    """The errors are those of a model on the part not fitted, with noise of 0.05."""
+    named = SimpleNamespace(
+        verdict="explained",
+        summary="a wave",
+        effects=(SimpleNamespace(name="wave", advice="look"),),
+        disturbances_alone=alone,
+        error={"held_out": SimpleNamespace(before=1.0, after=0.1)},
+    )
+    analysis = replace(identified(recording), diagnosis=named, error=HeldOut(0.05, held_out, 0.05, 5.0))
+    assert any("a wave" in message for message in analysis.messages)
+    assert any("a wave" in warning for warning in analysis.warnings) is asks
 
 
 @pytest.mark.parametrize("left", [0.15, -0.15])

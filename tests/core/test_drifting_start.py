@@ -7,16 +7,26 @@ import pytest
 
 from autotuner.application.analysis.procedure import analyse, identified
 from autotuner.core.design import PidGains
-from autotuner.core.experiment.baseline import Line, line_of
+from autotuner.core.experiment.baseline import Line, grows, line_of
 from autotuner.core.experiment.experiment import Experiment
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.experiment.refusals import drifting
-from autotuner.core.experiment.settings import ExperimentSettings
+from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.identification import running_model
 from autotuner.core.recording import Recording, Sample
 from autotuner.core.signals.quiet import QuietMeasurement
 from autotuner.errors import InputError
-from autotuner_sim import Fopdt, LoadStep, Noise, SopdtOverdamped, SteppedPlant, find_limit_cycle, symmetric_relay
+from autotuner_sim import (
+    Fopdt,
+    Integrating,
+    LoadRamp,
+    LoadStep,
+    Noise,
+    SopdtOverdamped,
+    SteppedPlant,
+    find_limit_cycle,
+    symmetric_relay,
+)
 from autotuner_sim.effects import Drift
 
 AMPLITUDE, OUTPUT0, PV0 = 10.0, 40.0, 80.0
@@ -103,6 +113,49 @@ def test_a_small_drift_is_followed_without_the_setting():
         assert experiment.verdict is None
         model = analyse(recording).identification.model
         assert pytest.approx((2.0, 10.0, 1.0), rel=0.05) == (model.K, model.T, model.D)
+
+
+@pytest.mark.parametrize("load", [-2.0, 3.0])
+def test_an_integrator_that_drifts_at_rest_is_tuned_about_a_fixed_value(load):
+    """An unknown load of a fifth and more of the relay: the PV never rests, and a line runs away from its start."""
+    plant = Integrating(0.2, 4.0, 0.8)
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 80.0, amplitude=AMPLITUDE)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(0.0, load)], sigma=0.005 * A)
+    assert experiment.verdict is None
+    assert any("fixed value" in warning for warning in experiment.warnings)
+    assert "drift_per_s" not in recording.settings
+    model = identified(recording).identification.model
+    assert model.structure == "integrating"
+    assert pytest.approx((0.2, 4.0, 0.8), rel=0.05) == (model.K, model.T, model.D)
+
+
+def test_a_drift_that_grows_is_worked_against():
+    plant = Integrating(0.2, 4.0, 0.4)
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 60.0, amplitude=AMPLITUDE)
+    ramp = LoadRamp(0.0, 0.5 * AMPLITUDE, 50.0 * Pu)
+    experiment, recording = conduct(plant, settings, loads=[ramp], sigma=0.005 * A)
+    assert experiment.verdict is None
+    assert recording.segments["relay"] < 8.0 * settings.quiet_duration_s
+    model = identified(recording).identification.model
+    assert pytest.approx((0.2, 4.0, 0.4), rel=0.05) == (model.K, model.T, model.D)
+
+
+def test_an_integrator_at_a_limit_of_the_output_is_told_to_move_its_operating_point():
+    settings = ExperimentSettings(sample_time_s=0.2, amplitude=AMPLITUDE, limits=Limits(output=(OUTPUT0, 100.0)))
+    experiment, _ = conduct(Integrating(0.2, 4.0, 0.8), settings, sigma=0.01)
+    assert experiment.verdict.code == "no_oscillation"
+    assert "operating point at which the output rests inside" in experiment.verdict.remedy
+    assert "amplitude" not in experiment.verdict.remedy
+
+
+def test_only_a_drift_that_becomes_faster_grows():
+    t = np.linspace(0.0, 1.0, 100)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(t.size)
+    assert grows(t, -(t**2) + noise)
+    assert not grows(t, t + noise)
+    assert not grows(t, 1.0 - np.exp(-t) + noise)
 
 
 def test_beside_a_controller_the_refusal_speaks_of_the_controller():

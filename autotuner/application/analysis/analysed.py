@@ -185,11 +185,20 @@ class Analysis:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
         if (self.gains_hold or self.is_undisturbed) and self.diagnosis.disturbances_alone:
             return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
+        if self.diagnosis.disturbances_alone and self._leaves_noise(self.error):
+            return (
+                Note(f"diagnosis: {self.diagnosis.summary}; the model of the gains explains the record without it"),
+            )
         advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
         summary = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
         return (
             Doubt(summary) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else summary,
         )
+
+    @staticmethod
+    def _leaves_noise(error: HeldOut | None) -> bool:
+        """Return whether the model as it is leaves nothing but noise of the part it was not fitted to."""
+        return error is not None and error.noise_sigma > 0.0 and error.warning is None and error.is_small_throughout
 
     @staticmethod
     def _leaves_little(error: HeldOut) -> bool:

@@ -76,6 +76,18 @@ def line_of(t: FloatArray, pv: FloatArray) -> Line | None:
     return Line(float(t[-1]), float(level), float(slope), min(float(decay_s), EXTRAPOLATED * span_s))
 
 
+def grows(t: FloatArray, pv: FloatArray) -> bool:
+    """Return whether the drift of a PV becomes faster, as that of an integrating process under a growing load.
+
+    Parameters
+    ----------
+    t, pv : array of float, shape (N,), N >= 4
+        Samples at rest, s and PV units.
+    """
+    (curvature, slope, _), covariance = np.polyfit(t - t[-1], pv, 2, cov=True)
+    return bool(curvature * slope > 0.0 and abs(curvature) > CERTAIN * math.sqrt(covariance[0, 0]))
+
+
 class Baseline:
     """The line as it is followed.
 

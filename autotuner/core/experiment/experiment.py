@@ -12,7 +12,7 @@ Invariants:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from autotuner.core.experiment import refusals
@@ -23,13 +23,19 @@ from autotuner.core.experiment.relay_phase.check import HalfRelay, Holds, Return
 from autotuner.core.experiment.relay_phase.oscillation import Oscillation
 from autotuner.core.experiment.stages import Rest
 from autotuner.core.experiment.step import Step
+from autotuner.core.notes import Note
 
 if TYPE_CHECKING:
     from autotuner.core.experiment.baseline import Baseline
+    from autotuner.core.experiment.relay import Levels
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.experiment.step import RunningEstimate, Stage
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
+
+LEFT_LINE = frozenset({"pv_drifts", "no_oscillation"})
+"""Refusals of a relay about a moving reference after which a fixed one is tried."""
+LEFT_LINE_NOTE = Note("the drift of the PV at rest did not go on as a line: the relay began again about a fixed value")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +76,12 @@ class Experiment:
         self.warnings: list[str] = []
         self.segments: dict[str, float] = {}
         self._stage: Stage | None = None
+        self._levels: Levels | None = None
         self._beside: Parallel | None = None
         self._started_s: float | None = None
         self._relay_seen: dict[str, object] = {}
         self._baseline: Baseline | None = None
+        self._line_verdict: Verdict | None = None
         self._integrates = False
         self._impulse = 0.0
         self._last: tuple[float, float] | None = None
@@ -144,7 +152,8 @@ class Experiment:
                 self.stop(refusals.no_room(self.initial_output, levels))
                 return
             self._beside = Parallel(self.settings.online, self.initial_output, (low, high))
-        self._stage = Rest(self.settings, self.initial_output, levels)
+        self._levels = levels
+        self._stage = Rest(settings, self.initial_output, levels)
         self.phase = next_phase(self.phase, PhaseEvent.ARMED)
 
     def _follow_output(self, sample: Sample) -> None:
@@ -164,12 +173,27 @@ class Experiment:
         following = Return(stage.found, self._impulse, self.initial_output, sample)
         return Step(following.output, following=following, segment="return", warning=step.warning)
 
+    def _off_the_line(self, stage: Stage, step: Step) -> Step:
+        """Return the step, or where the PV has left the line that was followed, one that rests again without it.
+
+        Where the fixed reference fails too, the refusal is that of the line, with the drift as it was found.
+        """
+        if step.verdict is None or step.verdict.code not in LEFT_LINE:
+            return step
+        if self._line_verdict is not None:
+            return replace(step, verdict=self._line_verdict)
+        if self._baseline is None or self._levels is None or not isinstance(stage, Oscillation):
+            return step
+        self._baseline, self._line_verdict = None, step.verdict
+        again = Rest(self.settings, self.initial_output, self._levels, follows=False)
+        return Step(self.initial_output, PhaseEvent.LEFT_LINE, again, warning=LEFT_LINE_NOTE)
+
     def _over_time(self, sample: Sample) -> bool:
         return self._started_s is not None and sample.t - self._started_s > self.settings.time_limit_s
 
     def _advance(self, stage: Stage, sample: Sample) -> Command:
         step = stage.step(sample if self._baseline is None else self._baseline.levelled(sample))
-        step = self._returning(stage, step, sample)
+        step = self._returning(stage, self._off_the_line(stage, step), sample)
         self._baseline = step.baseline or self._baseline
         if self._baseline is not None and isinstance(stage, Oscillation):
             self._baseline.follow(sample, step.output)

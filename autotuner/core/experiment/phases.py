@@ -30,6 +30,7 @@ class PhaseEvent(StrEnum):
     RESTED = "rested"
     RESTED_AT_LIMIT = "rested_at_limit"
     APPROACHED = "approached"
+    LEFT_LINE = "left_line"
     CONVERGED = "converged"
     CONVERGED_UNCHECKED = "converged_unchecked"
     CHECKED = "checked"
@@ -42,6 +43,7 @@ TRANSITIONS: dict[tuple[Phase, PhaseEvent], Phase] = {
     (Phase.QUIET, PhaseEvent.RESTED): Phase.RELAY,
     (Phase.QUIET, PhaseEvent.RESTED_AT_LIMIT): Phase.APPROACH,
     (Phase.APPROACH, PhaseEvent.APPROACHED): Phase.RELAY,
+    (Phase.RELAY, PhaseEvent.LEFT_LINE): Phase.QUIET,
     (Phase.RELAY, PhaseEvent.CONVERGED): Phase.CHECK,
     (Phase.RELAY, PhaseEvent.CONVERGED_UNCHECKED): Phase.RESTORE,
     (Phase.CHECK, PhaseEvent.CHECKED): Phase.RESTORE,

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.signals.quiet import QuietMeasurement
 
+WEAK = "Raise the relay amplitude, lower the hysteresis, or move the operating point away from the limit."
+AT_LIMIT = (
+    "The output rests at its limit, so nothing brings the PV back (the process may integrate). Bring the loop to an "
+    "operating point at which the output rests inside its range, then start again."
+)
 ROUNDING = 1e-6
 """Noise below this share of the resolution comes from the arithmetic, not from the sensor."""
 
@@ -85,14 +90,17 @@ def no_response(level: float, quiet: QuietMeasurement, waited_s: float) -> Verdi
     )
 
 
-def no_oscillation(relay: Relay, switches: int, pv: float, waited_s: float) -> Verdict:
-    """Refuse a PV that does not return to the reference within the time limit of the experiment."""
+def no_oscillation(relay: Relay, switches: int, pv: float, waited_s: float, *, at_limit: bool = False) -> Verdict:
+    """Refuse a PV that does not return to the reference within the time limit of the experiment.
+
+    From an output that rests at its limit there is no level beyond it that could bring back a PV that stays.
+    """
     levels = f"{relay.low:g} and {relay.high:g}"
     return refused(
         "no_oscillation",
         f"no sustained oscillation: after {switches} switches the PV stayed at {pv:.5g} for {waited_s:.4g} s without "
         f"crossing {relay.reference:.5g} +- {relay.hysteresis:.3g}, with the output between {levels}",
-        "Raise the relay amplitude, lower the hysteresis, or move the operating point away from the limit.",
+        AT_LIMIT if at_limit else WEAK,
     )
 
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.experiment import refusals
-from autotuner.core.experiment.baseline import Baseline, line_of
+from autotuner.core.experiment.baseline import Baseline, grows, line_of
 from autotuner.core.experiment.phases import PhaseEvent
 from autotuner.core.experiment.relay_phase.action_check import ActionCheck
 from autotuner.core.experiment.relay_phase.operating_point import OperatingPoint
@@ -37,8 +37,10 @@ from autotuner.core.experiment.step import Step
 from autotuner.core.signals.quiet import measure_quiet
 
 if TYPE_CHECKING:
+    from autotuner.core.experiment.baseline import Line
     from autotuner.core.experiment.relay import Levels
     from autotuner.core.experiment.settings import ExperimentSettings
+    from autotuner.core.model.arrays import FloatArray
     from autotuner.core.recording import Sample
     from autotuner.core.signals.quiet import QuietMeasurement
 
@@ -55,12 +57,25 @@ ANSWER_MULTIPLE = 3.0
 
 
 class Rest:
-    """Hold the output and measure noise, drift, resolution and sampling."""
+    """Hold the output and measure noise, drift, resolution and sampling.
 
-    def __init__(self, settings: ExperimentSettings, output: float, levels: Levels) -> None:
+    Parameters
+    ----------
+    settings : ExperimentSettings
+        How the experiment is run.
+    output : float
+        Output that is held, output units.
+    levels : Levels
+        Relay levels placed around it.
+    follows : bool
+        Whether a drift may be followed along a line; otherwise a relay about a fixed reference works against it.
+    """
+
+    def __init__(self, settings: ExperimentSettings, output: float, levels: Levels, *, follows: bool = True) -> None:
         self._settings = settings
         self._output = output
         self._levels = levels
+        self._follows = follows
         self._samples: list[tuple[float, float]] = []
         self._started_s = math.inf
 
@@ -75,26 +90,47 @@ class Rest:
         quiet = measure_quiet(t, pv)
         if not quiet.drifts:
             return self._go_on(sample, quiet)
-        settings = self._settings
-        if settings.online is not None:  # the controller moves the output against the drift: no line can be followed
-            return Step(self._output, verdict=refusals.drifting(quiet, settings))
-        line, rested_s = line_of(t, pv), sample.t - self._started_s
-        if line is None and rested_s > LONGEST_REST * settings.quiet_duration_s:
-            return Step(self._output, verdict=refusals.drifting(quiet, settings))
-        is_straight = (
-            quiet.spread <= STRAIGHT * quiet.noise_sigma or rested_s > LONGEST_DOUBT * settings.quiet_duration_s
-        )
-        if line is None or not is_straight:  # the drift bends: measured again when half of these samples have gone
-            del self._samples[: len(self._samples) // 2]
-            return Step(self._output)
-        level = pv - np.array([line.at(moment) - line.pv for moment in t])
-        baseline = Baseline(line, self._output, 1.0 if settings.direct else -1.0)
-        drift = None if settings.drift_compensation else quiet
-        return replace(self._go_on(sample, measure_quiet(t, level), drift), baseline=baseline)
+        if self._settings.online is not None:  # the controller moves the output against the drift: no line to follow
+            return Step(self._output, verdict=refusals.drifting(quiet, self._settings))
+        return self._with_drift(t, pv, quiet, sample)
 
-    def _go_on(self, sample: Sample, quiet: QuietMeasurement, drift: QuietMeasurement | None = None) -> Step:
-        """Begin the relay phase; `drift` is the rest of a drifting PV, whose drift must prove small then."""
-        rested = OperatingPoint(self._settings, self._output, self._levels, quiet, drift)
+    def _with_drift(self, t: FloatArray, pv: FloatArray, quiet: QuietMeasurement, sample: Sample) -> Step:
+        """Follow a drift that is a line; wait for one that bends, and work against one that does not come to rest."""
+        line = line_of(t, pv)
+        if line is not None and self._is_straight(quiet, sample.t):
+            return self._along(line, quiet, sample) if self._follows else self._against(t, pv, quiet, sample)
+        doubted = line is None and self._has_rested(LONGEST_DOUBT, sample.t)
+        if doubted and (not self._follows or grows(t, pv)):
+            return self._against(t, pv, quiet, sample)
+        if doubted and self._has_rested(LONGEST_REST, sample.t):
+            return Step(self._output, verdict=refusals.drifting(quiet, self._settings))
+        del self._samples[: len(self._samples) // 2]  # measured again when as many new ones have come
+        return Step(self._output)
+
+    def _has_rested(self, quiet_times: float, t: float) -> bool:
+        return t - self._started_s > quiet_times * self._settings.quiet_duration_s
+
+    def _is_straight(self, quiet: QuietMeasurement, t: float) -> bool:
+        return quiet.spread <= STRAIGHT * quiet.noise_sigma or self._has_rested(LONGEST_DOUBT, t)
+
+    def _along(self, line: Line, quiet: QuietMeasurement, sample: Sample) -> Step:
+        """Begin a relay about a reference that moves with the drift."""
+        level = [(t, pv - line.at(t) + line.pv) for t, pv in self._samples]
+        baseline = Baseline(line, self._output, 1.0 if self._settings.direct else -1.0)
+        drift = None if self._settings.drift_compensation else quiet
+        return replace(self._go_on(sample, measure_quiet(*np.array(level).T), drift), baseline=baseline)
+
+    def _against(self, t: FloatArray, pv: FloatArray, quiet: QuietMeasurement, sample: Sample) -> Step:
+        """Begin a relay about the present PV: its duty balances what moves the PV, as far as the output reaches."""
+        bend = np.polyfit(t - t[-1], pv, 2)
+        rested = measure_quiet(t, pv - np.polyval(bend[:2], t - t[-1]) * (t - t[-1]))
+        return self._go_on(sample, rested, quiet, follows=False)
+
+    def _go_on(
+        self, sample: Sample, quiet: QuietMeasurement, drift: QuietMeasurement | None = None, *, follows: bool = True
+    ) -> Step:
+        """Begin the relay phase; `drift` is the rest of a drifting PV, which a relay that follows must find small."""
+        rested = OperatingPoint(self._settings, self._output, self._levels, quiet, drift, follows)
         if self._levels.one_sided:
             push = Push(rested, sample.t)
             return Step(push.level, PhaseEvent.RESTED_AT_LIMIT, push)

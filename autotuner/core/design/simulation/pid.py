@@ -65,7 +65,7 @@ class PidSettings:
     @property
     def tracking_time(self) -> float:
         """Time constant of the anti-windup, s; infinite without integral action."""
-        return math.sqrt(self.gains.Ti * self.gains.Td) if self.gains.Td > 0.0 else self.gains.Ti
+        return math.sqrt(self.gains.Ti) * math.sqrt(self.gains.Td) if self.gains.Td > 0.0 else self.gains.Ti
 
 
 @dataclass(frozen=True, slots=True)

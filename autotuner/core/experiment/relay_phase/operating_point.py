@@ -42,6 +42,8 @@ class OperatingPoint:
         What was measured at rest.
     drift : QuietMeasurement or None
         Rest of a PV that drifts, where the drift must be small compared with the relay's oscillation; else None.
+    is_followed : bool
+        Whether the reference of the relay moves with that drift.
     """
 
     settings: ExperimentSettings
@@ -49,6 +51,7 @@ class OperatingPoint:
     levels: Levels
     quiet: QuietMeasurement
     drift: QuietMeasurement | None = None
+    is_followed: bool = True
 
     @property
     def hysteresis(self) -> float:

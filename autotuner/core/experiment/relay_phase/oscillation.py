@@ -146,7 +146,7 @@ class Oscillation:
     def _drifts_too_fast(self, cycle: Cycle) -> Verdict | None:
         """Refuse a PV whose drift at rest is large compared with the relay's oscillation."""
         rested = self._rested
-        if rested.drift is None:
+        if rested.drift is None or not rested.is_followed:
             return None
         too_fast = abs(rested.drift.drift_per_s) * cycle.period_s > SMALL_DRIFT * cycle.peak
         return refusals.drifting(rested.drift, rested.settings) if too_fast else None
@@ -216,7 +216,8 @@ class Oscillation:
         """Refuse a PV that no longer crosses; one that drifted at rest is followed along a line that it has left."""
         if self._rested.drift is not None:
             return refusals.drifting(self._rested.drift, self._rested.settings)
-        return refusals.no_oscillation(self.relay, len(self.detector.switch_times_s), sample.pv, waited_s)
+        switches, at_limit = len(self.detector.switch_times_s), self._rested.levels.one_sided
+        return refusals.no_oscillation(self.relay, switches, sample.pv, waited_s, at_limit=at_limit)
 
     def _change_to(self, relay: Relay, t: float, pv: float) -> None:
         """Continue with another relay, which has also seen this reading; a replay of the new relay begins there."""
