@@ -8,7 +8,7 @@ import pytest
 
 from autotuner.cli import main
 
-BENCH = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "safety" / "wrong_options.py"))
+BENCH = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "safety" / "requests" / "wrong_options.py"))
 
 
 @pytest.fixture
