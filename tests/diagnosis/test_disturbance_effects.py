@@ -9,12 +9,11 @@ import scipy
 from autotuner.core.diagnosis.effects.disturbance import (
     behind_a_lag,
     disturbance_effects,
-    lines_of_all,
     load_at_the_input,
-    spectral_lines,
 )
 from autotuner.core.diagnosis.effects.free_forms import _splines, _times_curve, _turns, free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
+from autotuner.core.diagnosis.effects.waves import lines_of_all, spectral_lines, wave_at_the_input
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
@@ -158,6 +157,22 @@ def test_a_wave_at_the_input_is_one_on_the_pv_behind_the_process(plant):
     free = at_the_truth(recording, plant, (effect, (math.log(SPAN_S / 31.0),)), background=("offset", "state"))
     assert left(free) < 2e-3
     assert free.sizes()[0]["amplitude"] == pytest.approx(5.0 * gain, rel=1e-2)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(("shape", "accuracy"), [("sine", 0.002), ("square", 1e-9)])
+@pytest.mark.parametrize("phase_s", [0.0, 6.0])
+def test_a_load_that_swings_or_is_switched_is_the_simulators(plant, shape, accuracy, phase_s):
+    """A sine is written in steps here and there; a square wave changes at the same times."""
+    recording = record(plant, moves(), loads=[PeriodicLoad(5.0, 24.0, shape, phase_s=phase_s)])
+    dataset = dataset_of(recording)
+    effect = wave_at_the_input(dataset, switched=shape == "square")
+    size, phase = 5.0 / dataset.swing, 2.0 * math.pi * phase_s / 24.0
+    numbers = (math.log(SPAN_S / 24.0), size * math.cos(phase), size * math.sin(phase))
+    fitted = at_the_truth(recording, plant, (effect, numbers))
+    assert left(fitted) < accuracy
+    assert left(at_the_truth(recording, plant)) > 0.02
+    assert fitted.sizes() == [pytest.approx({"period_s": 24.0, "amplitude": 5.0})]
 
 
 def test_harmonics_are_those_of_a_wave_of_three():

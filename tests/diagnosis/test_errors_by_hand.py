@@ -18,6 +18,7 @@ from autotuner.core.diagnosis.record.parts import parts_of
 from autotuner.core.diagnosis.search.coincidence import answers_a_move
 from autotuner.core.diagnosis.search.judge import held_out_gain, weigh, weighs_enough
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_of, unevenness_of
+from autotuner.core.model.structures import FOPDT, INTEGRATING, Structure
 
 N = 1000
 T = np.arange(float(N))
@@ -30,6 +31,7 @@ class Problem:
     dataset: Dataset | None = None
     rows: np.ndarray | None = None
     effects: tuple = ()
+    structure: Structure = FOPDT
 
     def split(self, theta):
         return [], 0.0, []
@@ -65,11 +67,11 @@ def seen_of(pv, output=None):
     return parts, bench_of(dataset_of(parts.before_test))
 
 
-def model_of(context, pv, residual, **told):
+def model_of(context, pv, residual, structure=FOPDT, **told):
     """The model that leaves just this residual of the PV."""
     curve = pv - context.dataset.pv0 - residual
     rows = context.fine
-    return Model(Problem(rows=rows), curve, (pv - context.dataset.pv0 - curve)[rows], **told)
+    return Model(Problem(rows=rows, structure=structure), curve, (pv - context.dataset.pv0 - curve)[rows], **told)
 
 
 COURSE = 70.0 + 10.0 * np.sin(T / 60.0)
@@ -255,6 +257,22 @@ def test_the_fall_elsewhere_is_in_its_standard_errors():
     assert ratio == pytest.approx(
         np.mean(after[context.held_out] ** 2) / np.mean(before[context.held_out] ** 2), rel=1e-3
     )
+
+
+def test_of_processes_that_integrate_the_slopes_decide():
+    """A wave of 20 samples on a random walk: hidden in the walk itself, three quarters of the squares of its steps."""
+    pv = COURSE
+    _, context = seen_of(pv)
+    walk = 3.0 * np.cumsum(WHITE[0])
+    wave = 3.0 * math.sqrt(6.0) / (math.pi / 10.0) * np.sin(np.pi / 10.0 * T)
+    models = [[model_of(context, pv, r, s) for r in (walk + wave, walk)] for s in (FOPDT, INTEGRATING)]
+    (ratio, z), (by_slopes, sure) = (held_out_gain(context, *pair) for pair in models)
+    steps = [np.diff(r[context.held_out]) ** 2 for r in (walk + wave, walk)]
+    assert by_slopes == pytest.approx(np.mean(steps[1]) / np.mean(steps[0]), rel=1e-2)
+    assert by_slopes < 0.4 < ratio
+    assert sure > 5.0 > z
+    away = [model_of(context, pv, r, INTEGRATING) for r in (walk + wave, walk + 300.0)]
+    assert held_out_gain(context, *away)[0] > 1.0
 
 
 @pytest.mark.parametrize(("before", "after", "expected"), [

@@ -9,7 +9,7 @@ import scipy
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
-from autotuner.core.diagnosis.effects.process.friction import _course
+from autotuner.core.diagnosis.effects.process.friction import _Axis, _course
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input
@@ -44,18 +44,20 @@ def recorded(output, pv, sigma, seed=1):
     return Recording(np.arange(float(output.size)) * H, 40.0 + output, 60.0 + pv + noise)
 
 
-def test_the_course_with_dry_friction_is_that_of_a_general_solver():
-    """A smooth friction law, steep enough, stands for the jump of the sign."""
+@pytest.mark.parametrize(("ratio", "first"), [(1.0, 0.0), (2.5, 0.0), (0.5, 0.7), (1.0, -0.7)])
+def test_the_course_with_dry_friction_is_that_of_a_general_solver(ratio, first):
+    """A smooth, steep friction law stands for the jump of the sign. Viscous friction: `ratio` up over down."""
     force = [2.0, -1.0, 0.3, 0.05, -2.0, 0.0]
-    velocity, position = _course([1.5] * len(force), force, 0.8, 0.4)
+    velocity, position = _course([1.5] * len(force), force, 0.8, _Axis(0.4, math.log(ratio), first))
 
     def f(t, x):
         u = force[min(int(t / 1.5), len(force) - 1)]
-        return [(u - 0.4 * math.tanh(x[0] / 1e-4) - x[0]) / 0.8, x[0]]
+        viscous = math.sqrt(ratio if x[0] > 0.0 else 1.0 / ratio)
+        return [(u - 0.4 * math.tanh(x[0] / 1e-4) - viscous * x[0]) / 0.8, x[0]]
 
     at = np.arange(len(force) + 1) * 1.5
     how = {"method": "LSODA", "max_step": 0.002, "rtol": 1e-8}
-    found = scipy.integrate.solve_ivp(f, (0.0, at[-1]), [0.0, 0.0], t_eval=at, **how)
+    found = scipy.integrate.solve_ivp(f, (0.0, at[-1]), [first, 0.0], t_eval=at, **how)
     np.testing.assert_allclose(velocity, found.y[0], atol=2e-3)
     np.testing.assert_allclose(position, found.y[1], atol=5e-3)
 
@@ -195,6 +197,42 @@ def test_dry_friction_of_an_axis_is_named_on_the_process_side():
     assert found.effects[0].name == "process_friction"
     assert found.effects[0].parameters["coulomb"] == pytest.approx(coulomb, rel=0.05)
     assert found.verdict == "explained"
+
+
+def axis_moved_to_and_fro(seed=1):
+    """A mass on rails by Euler's method in steps of 1 ms: viscous friction 60 % of the way down on the way up, a load
+    that is switched, and a controller that follows a course, so that the force is never at rest."""
+    random = np.random.default_rng(seed)
+    h, steps_each, count = 0.001, 20, 1500
+    levels = np.repeat(random.choice([-1.0, -0.6, -0.3, 0.3, 0.6, 1.0], count // 50), 50)
+    v, x, target, output, pv = 0.0, 0.0, 0.0, [], []
+    for k, level in enumerate(levels.tolist()):
+        target += level * h * steps_each
+        u = 40.0 * (target - x) + 12.0 * (level - v)
+        output.append(u)
+        pv.append(x)
+        for j in range(steps_each):
+            force = u + 0.6 * (1.0 if ((k * steps_each + j) * h / 1.7) % 1.0 < 0.5 else -1.0)
+            viscous = 3.0 if v > 0.0 else 5.0
+            if v == 0.0 and abs(force) <= 2.0:
+                continue
+            way = math.copysign(1.0, v or force)
+            moved = v + h / 1.5 * (force - 2.0 * way - viscous * v)
+            v = 0.0 if moved * v < 0.0 else moved
+            x += h * v
+    t = h * steps_each * np.arange(count)
+    return Recording(t, np.array(output), np.array(pv) + random.normal(0.0, 2e-4, count))
+
+
+def test_an_axis_has_friction_by_direction_and_a_load_that_is_switched():
+    """An axis integrates its forces twice: what is left is a random walk, in which the load is hidden."""
+    found = diagnose(axis_moved_to_and_fro())
+    friction = next(effect for effect in found.effects if effect.name == "process_friction")
+    assert friction.parameters["viscous_up_over_down"] == pytest.approx(0.6, rel=0.05)
+    assert friction.parameters["coulomb"] == pytest.approx(2.0, rel=0.05)
+    load = next(effect for effect in found.effects if effect.name == "periodic_disturbance")
+    assert load.parameters["period_s"] == pytest.approx(1.7, rel=0.01)
+    assert load.parameters["amplitude"] == pytest.approx(0.6, rel=0.1)
 
 
 def waves(t):

@@ -2,7 +2,7 @@
 
 load_step             + c G[step at ts]             at the input of the process
 drift                 + c max(t - ts, 0)            on the PV
-periodic_disturbance  + a cos(w t) + b sin(w t)     (and harmonics: a triangle, a relay; growing with time; begun late)
+periodic_disturbance  (see `waves`)
 measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
 ambient               the same, for a column that is named so
 bias_step             + c step at ts                on the PV
@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.diagnosis.effects.waves import periodic_disturbances
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
@@ -32,16 +33,8 @@ if TYPE_CHECKING:
 
 MOMENTS = 24
 """Moments at which a step is tried."""
-LINES = 4
-"""Lines of the residual's spectrum from which a period is searched."""
-OF_OTHERS, MOST_LINES = 2, 8
-"""Lines that each further signal adds, and the most in all."""
-FEWEST_PERIODS, FEWEST_ELSEWHERE = 2.0, 4.0
-"""Fewest periods in a record that count as such: of a tuning, of anything else."""
 FEW_MOVES = 60
 """Moves of a measured disturbance up to which it is tried at the input of the process, too."""
-BEGINS = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Moments at which a wave may begin, in shares of the fitted part."""
 SAME_LEVEL = 1e-6
 """Difference of two levels of a measured disturbance, in its range, that counts as none."""
 MOST_STEPS = 500
@@ -60,7 +53,7 @@ def disturbance_effects(
         _bias_step(dataset, (np.linspace(0.02, 0.98, 2 * MOMENTS) * dataset.fitted_until_s).tolist()),
         *((_bias_step(dataset, jumps),) if jumps else ()),
         *_drifts(dataset),
-        *_periodic(dataset, residuals),
+        *periodic_disturbances(dataset, residuals),
         *(e for name, values in dataset.extra.items() if _usable(values) for e in _measured(dataset, name)),
     )
 
@@ -99,7 +92,7 @@ def load_at_the_input(dataset: Dataset) -> Effect:
         [],
         lambda p, _c, _g: {"at_s": p[0] * span, "size": p[1] * swing},
         form="at the input",
-        load=lambda p: (p[0] * span, p[1] * swing),
+        load=lambda p, _: HeldInput(np.array([0.0, p[0] * span]), np.array([0.0, p[1] * swing])),
         order=7,
         price=math.log(MOMENTS),
         group="step",
@@ -172,103 +165,6 @@ def _drifts(dataset: Dataset) -> tuple[Effect, ...]:
             group="slow",
         ),
     )
-
-
-def _periodic(dataset: Dataset, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
-    lines = lines_of_all(dataset, residuals)
-    if not lines:
-        return ()
-    span = dataset.span_s
-    lowest, highest = fewest_periods(dataset), 0.45 * dataset.data.t.size
-
-    def waves(harmonics: Sequence[int], form: str) -> Effect:
-        def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-            angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
-            # At the process's input it begins with the record: the process has a free response.
-            waves = [wave(n * angle) for n in harmonics for wave in (np.cos, np.sin)]
-            waves += [view.t / span * wave for wave in waves] if form == "growing" else []
-            return [*waves, *(view.motion.free(view.t) if dataset.tuned else ())]
-
-        def sizes(p: Sequence[float], c: Sequence[float], _g: float) -> Mapping[str, float]:
-            cosine, sine = (c[0] + c[2], c[1] + c[3]) if form == "growing" else (c[0], c[1])  # at the end of the record
-            return {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(cosine, sine)}
-
-        return Effect(
-            "periodic_disturbance",
-            Place.DISTURBANCE,
-            (Searched("log_periods", math.log(lowest), math.log(highest), 1e-5),),
-            [(math.log(line),) for line in lines],
-            sizes,
-            form=form,
-            columns=columns,
-            order=7,
-            price=math.log(max(highest, 2.0)),
-        )
-
-    return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing"), _late_wave(dataset, lines)
-
-
-def _late_wave(dataset: Dataset, lines: Sequence[float]) -> Effect:
-    """Return a wave that begins within the record."""
-    span, interval = dataset.span_s, dataset.data.interval_s
-    share = dataset.fitted_until_s / span
-    highest = 0.45 * dataset.data.t.size
-
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
-        # A ramp over one sample, so that the search has a slope to go by.
-        begun = np.clip((view.t - p[1] * span) / interval + 0.5, 0.0, 1.0)
-        return [begun * np.cos(angle), begun * np.sin(angle)]
-
-    return Effect(
-        "periodic_disturbance",
-        Place.DISTURBANCE,
-        (
-            Searched("log_periods", math.log(fewest_periods(dataset)), math.log(highest), 1e-5),
-            Searched("moment", 0.02, 0.95, 1e-4),
-        ),
-        [(math.log(line), at * share) for line in lines for at in BEGINS],
-        lambda p, c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(*c[:2]), "from_s": p[1] * span},
-        form="begins",
-        columns=columns,
-        order=7,
-        price=math.log(max(highest, 2.0)) + math.log(len(BEGINS)),
-    )
-
-
-def fewest_periods(dataset: Dataset) -> float:
-    """Return how many periods in a record count as such."""
-    return FEWEST_PERIODS if dataset.tuned else FEWEST_ELSEWHERE
-
-
-def lines_of_all(dataset: Dataset, residuals: Sequence[FloatArray]) -> list[float]:
-    """Return the lines of the first residual, and those that only others show, or the moves of the PV."""
-    lines = spectral_lines(dataset, residuals[0])
-    for signal in (*residuals[1:], np.gradient(dataset.data.pv, dataset.data.t)):
-        lines += [
-            f for f in spectral_lines(dataset, signal)[:OF_OTHERS] if all(abs(f - other) > 1.0 for other in lines)
-        ]
-    return lines[:MOST_LINES]
-
-
-def spectral_lines(dataset: Dataset, residual: FloatArray) -> list[float]:
-    """Return the strongest lines of the residual's spectrum on the fitted part, in periods per record."""
-    rows = np.flatnonzero(dataset.fitted)
-    t = dataset.data.t[rows]
-    even = np.linspace(t[0], t[-1], rows.size)
-    values = np.interp(even, t, residual[rows])
-    values = (values - values.mean()) * np.hanning(values.size)
-    power = np.abs(np.fft.rfft(values, 4 * values.size)) ** 2
-    periods = np.arange(power.size) / 4.0 * dataset.span_s / (t[-1] - t[0])
-    power[(periods < fewest_periods(dataset)) | (periods > 0.45 * dataset.data.t.size)] = 0.0
-    found = []
-    for _ in range(LINES):
-        top = int(np.argmax(power))
-        if power[top] == 0.0:
-            break
-        found.append(float(periods[top]))
-        power[np.abs(periods - periods[top]) < 2.0] = 0.0
-    return found
 
 
 @lru_cache(maxsize=16)

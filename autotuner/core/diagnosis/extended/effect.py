@@ -122,7 +122,7 @@ class Effect:
     slopes : callable, optional
         Slopes of the unit-gain response with all that is searched for, where they are known at once.
     load : callable, optional
-        Time, s, and size, output units, of a load at the input of the process.
+        From the values of `searched` and the recording, a load at the input of the process, output units.
     sizes : callable
         From the values of `searched`, the sizes of `columns` and the gain to the reported sizes, in engineering units.
     order : int
@@ -159,7 +159,7 @@ class Effect:
     response: Callable[[View, Sequence[float]], FloatArray] | None = None
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     slopes: Callable[[View, Sequence[float]], FloatArray] | None = None
-    load: Callable[[Sequence[float]], tuple[float, float]] | None = None
+    load: Callable[[Sequence[float], Dataset], HeldInput] | None = None
     order: int = 0
     price: float = 0.0
     group: str = ""

@@ -11,7 +11,7 @@ within bounds: a step is clipped, and only one that lowers the misfit is taken.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, TypeVar
@@ -108,7 +108,8 @@ class Extended:
             if effect.transport is not None:
                 held = effect.transport(held, p, D, dataset)
         motion = self.structure.motion(shape, dataset.span_s)
-        loads = [effect.load(p) for effect, p in zip(self.effects, values, strict=True) if effect.load is not None]
+        with_load = [(e.load, p) for e, p in zip(self.effects, values, strict=True) if e.load is not None]
+        loads = [load(p, dataset) for load, p in with_load]
         entering = _with_loads(held, loads, D) if loads else None
         return View(dataset, dataset.data.t[rows], D, motion, held, entering)
 
@@ -146,15 +147,15 @@ class Extended:
         return columns
 
 
-def _with_loads(held: HeldInput, loads: Sequence[tuple[float, float]], delay_s: float) -> HeldInput:
-    """Return an input with steps that the dead time does not hold up."""
-    for at_s, size in loads:
-        moment = max(at_s - delay_s, 1e-9)
-        k = int(np.searchsorted(held.times, moment, side="right"))
-        times = np.insert(held.times, k, moment)
-        levels = np.insert(held.levels, k, held.levels[k - 1])
-        held = HeldInput(times, levels + np.where(np.arange(times.size) >= k, size, 0.0))
-    return held
+def _with_loads(held: HeldInput, loads: Sequence[HeldInput], delay_s: float) -> HeldInput:
+    """Return an input with loads that the dead time does not hold up: those at the start precede the first output."""
+    early = [load.shifted(-delay_s) for load in loads]
+    first = min(0.0, *(float(load.times[1:].min(initial=0.0)) for load in early))
+    times = np.unique(np.concatenate([[first], held.times, *(load.times[1:] for load in early)]))
+    level = held.at(times)
+    for load in early:
+        level = level + replace(load, times=np.append(first, load.times[1:])).at(times)
+    return HeldInput(np.append(first, times), np.append(0.0, level))
 
 
 @lru_cache(maxsize=32)

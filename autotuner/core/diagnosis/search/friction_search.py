@@ -30,7 +30,9 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
     TURNING,
     plain_friction,
 )
+from autotuner.core.diagnosis.effects.process.friction import NAME as PROCESS_FRICTION
 from autotuner.core.diagnosis.effects.process.friction import process_friction
+from autotuner.core.diagnosis.effects.waves import lines_of_all, wave_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import (
     Extended,
@@ -63,6 +65,8 @@ AS_FAR = 3
 """How much farther, as a share of the band, the other number of a form is tried around its own."""
 NEARER = 0.9
 """Error over that of the process alone from which bands around are not tried."""
+WAVE_STEPS = 5
+"""Most steps of the optimiser from each period of a wave."""
 SECOND_LAG = 0.3
 """Second lag to start from, over the first."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
@@ -173,14 +177,37 @@ def with_process_friction(context: FitContext, alone: Fitted) -> list[Fitted]:
         return []
     interval, found = context.dataset.data.interval_s, []
     for structure in (FOPDT, INTEGRATING):
-        plain = Extended(context.dataset, structure, (), context.coarse, alone.problem.background)
         effect = process_friction(context.dataset)
-        problem = replace(plain, effects=(effect,), rows=context.screen)
+        problem = Extended(context.dataset, structure, (effect,), context.screen)
         starts = [np.array([math.log(lag * interval), 0.0, *s]) for lag in AXIS_LAGS for s in effect.starts]
         ranked = without_rounding(starts, partial(linearised, problem))
         coarse = [fit(replace(problem, rows=context.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
-        found.append(refined(context, closest_first(coarse)[0]))
+        alike = refined(context, closest_first(coarse)[0])
+        each = replace(alike.problem, effects=(process_friction(context.dataset, by_direction=True),))
+        beyond = len(structure.shape) + 3  # the process, Coulomb friction and constant are before the ratio
+        found += [alike, fit(each, np.insert(alike.theta, beyond, 0.0), STEPS)]
     before = context.held_out_error(alone)
     return [
         f for f in found if is_physical(f) and f.rms < HALF * alone.rms and context.held_out_error(f) < HALF * before
     ]
+
+
+def with_wave(context: FitContext, candidate: Fitted) -> list[Fitted]:
+    """Return a process with dry friction with a periodic load beside it, the best one first; none without friction.
+
+    Dry friction answers to the sum of the forces: beside it, a wave on the PV is none at the input. An axis integrates
+    it twice, so that its period shows in the slope of the residual only.
+    """
+    if not any(e.name == PROCESS_FRICTION for e in candidate.problem.effects) or context.dataset.budget.spent:
+        return []
+    dataset = context.dataset
+    residual = dataset.data.pv - candidate.simulated(np.arange(dataset.data.t.size))
+    lines = lines_of_all(dataset, [residual, np.gradient(residual, dataset.data.t)])
+    problem = replace(candidate.problem, rows=context.coarse)
+    starts = [np.array([*candidate.theta, math.log(line), 0.0, 0.0]) for line in lines]
+    sine = replace(problem, effects=(*problem.effects, wave_at_the_input(dataset)))
+    quick = closest_first(fit(sine, theta, WAVE_STEPS) for theta in within(dataset.budget, starts))
+    if not quick:
+        return []
+    square = replace(problem, effects=(*problem.effects, wave_at_the_input(dataset, switched=True)))
+    return [refined(context, c) for c in (quick[0], fit(square, quick[0].theta, WAVE_STEPS))]

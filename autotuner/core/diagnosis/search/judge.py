@@ -18,13 +18,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, noise_at_rest
+from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, FLOOR, noise_at_rest
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.signals.noise import inflation, noise_sigma
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.model.arrays import FloatArray
 
 GAIN = 14.0
 """Fall of the criterion that one more effect has to bring."""
@@ -118,9 +119,22 @@ def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) 
 
 
 def held_out_gain(context: FitContext, before: Fitted, after: Fitted) -> tuple[float, float]:
-    """Return the squares on the part not fitted, after over before, and their fall in its standard errors."""
-    left = context.dataset.floor**2
-    first, second = context.held_out_residual(before) ** 2, context.held_out_residual(after) ** 2
+    """Return the squares on the part not fitted, after over before, and their fall in its standard errors.
+
+    A process that integrates keeps every error of its load: its residual is a random walk, of which a short part has
+    few independent samples. There the slopes of the residuals decide, unless the residuals themselves speak against it.
+    """
+    residuals = [context.held_out_residual(candidate) for candidate in (before, after)]
+    ratio, z = _fall_of_squares(*residuals, context.dataset.floor)
+    if ratio >= 1.0 or not all(c.problem.structure.stiffness == 0.0 for c in (before, after)):
+        return ratio, z
+    floor = FLOOR * float(np.std(np.diff(context.dataset.data.pv[context.held_out])))
+    slopes = _fall_of_squares(*map(np.diff, residuals), floor)
+    return slopes if slopes[1] > z else (ratio, z)
+
+
+def _fall_of_squares(before: FloatArray, after: FloatArray, floor: float) -> tuple[float, float]:
+    left, first, second = floor**2, before**2, after**2
     d = first - second
     z = float(d.mean()) / ((float(np.std(d)) + left) * math.sqrt(inflation(d - d.mean()) / d.size))
     return (float(second.mean()) + left) / (float(first.mean()) + left), z

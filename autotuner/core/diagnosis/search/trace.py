@@ -22,7 +22,7 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
-from autotuner.core.diagnosis.search.friction_search import that_stick, with_friction, with_process_friction
+from autotuner.core.diagnosis.search.friction_search import that_stick, with_friction, with_process_friction, with_wave
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
@@ -131,6 +131,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         if accepted:
             following = _from_its_process(context, following, declared)
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
+            beside = with_wave(context, best)
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
             break
