@@ -149,7 +149,7 @@ class Extended:
 
 def _with_loads(held: HeldInput, loads: Sequence[HeldInput], delay_s: float) -> HeldInput:
     """Return an input with loads that the dead time does not hold up: those at the start precede the first output."""
-    early = [load.shifted(-delay_s) for load in loads]
+    early = [load.shifted(np.array(-delay_s)) for load in loads]
     first = min(0.0, *(float(load.times[1:].min(initial=0.0)) for load in early))
     times = np.unique(np.concatenate([[first], held.times, *(load.times[1:] for load in early)]))
     level = held.at(times)

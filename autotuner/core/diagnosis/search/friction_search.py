@@ -30,7 +30,6 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
     TURNING,
     plain_friction,
 )
-from autotuner.core.diagnosis.effects.process.friction import NAME as PROCESS_FRICTION
 from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.effects.waves import lines_of_all, wave_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
@@ -198,7 +197,7 @@ def with_wave(context: FitContext, candidate: Fitted) -> list[Fitted]:
     Dry friction answers to the sum of the forces: beside it, a wave on the PV is none at the input. An axis integrates
     it twice, so that its period shows in the slope of the residual only.
     """
-    if not any(e.name == PROCESS_FRICTION for e in candidate.problem.effects) or context.dataset.budget.spent:
+    if not any(e.name == "process_friction" for e in candidate.problem.effects) or context.dataset.budget.spent:
         return []
     dataset = context.dataset
     residual = dataset.data.pv - candidate.simulated(np.arange(dataset.data.t.size))

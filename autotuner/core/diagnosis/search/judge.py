@@ -124,12 +124,12 @@ def held_out_gain(context: FitContext, before: Fitted, after: Fitted) -> tuple[f
     A process that integrates keeps every error of its load: its residual is a random walk, of which a short part has
     few independent samples. There the slopes of the residuals decide, unless the residuals themselves speak against it.
     """
-    residuals = [context.held_out_residual(candidate) for candidate in (before, after)]
-    ratio, z = _fall_of_squares(*residuals, context.dataset.floor)
+    first, second = (context.held_out_residual(candidate) for candidate in (before, after))
+    ratio, z = _fall_of_squares(first, second, context.dataset.floor)
     if ratio >= 1.0 or not all(c.problem.structure.stiffness == 0.0 for c in (before, after)):
         return ratio, z
     floor = FLOOR * float(np.std(np.diff(context.dataset.data.pv[context.held_out])))
-    slopes = _fall_of_squares(*map(np.diff, residuals), floor)
+    slopes = _fall_of_squares(np.diff(first), np.diff(second), floor)
     return slopes if slopes[1] > z else (ratio, z)
 
 

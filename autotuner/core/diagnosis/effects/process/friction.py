@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
-NAME = "process_friction"
 STARTS = (0.05, 0.15, 0.35)
 """Coulomb friction to start from, in swings of the output."""
 MOST_CONSTANT = 2.0
@@ -74,7 +73,7 @@ def process_friction(dataset: Dataset, *, by_direction: bool = False) -> Effect:
         return {"coulomb": p[0] * swing, "constant": p[1] * swing, **ratio}
 
     return Effect(
-        NAME,
+        "process_friction",
         Place.PROCESS,
         tuple(searched),
         [(c, b, *(0.0 for _ in searched[2:])) for c in STARTS for b in sorted(constants)],
