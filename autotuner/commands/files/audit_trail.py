@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from autotuner.commands.terminal.output import say
 from autotuner.commands.terminal.stopping import StoppedError
 from autotuner.errors import AutotunerError, StorageError
+from autotuner.service.archive.archive_record import BEGUN, DONE, FAILED, STOPPED, WITHOUT_EFFECT, Deed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -28,10 +29,6 @@ if TYPE_CHECKING:
     from autotuner.configuration import ServiceTable
     from autotuner.control.records.lease_record import LeaseRecord
     from autotuner.service.archive.storage.database import Database
-
-DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
-REFUSED = range(400, 500)
-"""Status of an action without effect: refused, or stopped before it began."""
 
 
 def shell_actor() -> str:
@@ -68,8 +65,13 @@ def audited(
         status = row_of(error).status
         raise
     finally:
-        if status not in REFUSED:
+        if status not in WITHOUT_EFFECT:
             note(service, action, status, loop, tuning_id)
+
+
+def note_begun(service: ServiceTable, action: str, loop: str, tuning_id: str) -> None:
+    """Append an action that has begun to the audit of a data directory."""
+    note(service, action, BEGUN, loop, tuning_id)
 
 
 def note(
@@ -77,7 +79,6 @@ def note(
 ) -> None:
     """Append to the audit of a data directory."""
     from autotuner.control.clock.ticker import utc_now  # noqa: PLC0415 - keeps `--help` quick
-    from autotuner.service.archive.archive_record import Deed  # noqa: PLC0415
 
     deed = Deed(utc_now(), shell_actor(), action, status, loop, tuning_id)
     _in_store(service, lambda database: database.note(deed), f"not in the audit: {action}")

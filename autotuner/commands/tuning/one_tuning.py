@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from autotuner.commands.files.audit_trail import BEGUN, keep, note, report_earlier, shell_actor
+from autotuner.commands.files.audit_trail import keep, note_begun, report_earlier, shell_actor
 from autotuner.commands.files.configured import journal_of
 from autotuner.commands.files.result_files import Results
 from autotuner.commands.terminal.output import OutputError, say, show, writing
@@ -98,7 +98,7 @@ class OneTuning:
             return
         action = f"autotuner tune {self.tuning.loop}{self.after.option}"
         report_interrupted = partial(report_earlier, self._service)
-        begun = partial(note, self._service, action, BEGUN, self.tuning.loop, self.tuning.id)
+        begun = partial(note_begun, self._service, action, self.tuning.loop, self.tuning.id)
         along = _along(self.also, self.tuning)
         try:
             await _conduct_kept(

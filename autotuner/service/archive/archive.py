@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 from autotuner.errors import StorageError
-from autotuner.service.archive.archive_record import Deed
+from autotuner.service.archive.archive_record import DONE, FAILED, Deed
 from autotuner.service.archive.archived_tuning import ArchivedTuning
 from autotuner.service.archive.archiver import Archiver
 
@@ -46,7 +46,6 @@ IN_PLACE_PERIOD_S = 600.0
 """The same in virtual time, where a transaction costs more than the time that passes."""
 BY_ITSELF = "service"
 """Actor of unrequested actions: the recovery of a loop that a killed program left disturbed."""
-DONE, FAILED = 200, 500
 ROOM_BYTES = 64 * 1024 * 1024
 """Free space on the disk below which no tuning is started."""
 

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 JsonObject = dict[str, Any]
 
+DONE, BEGUN, STOPPED, FAILED = 200, 202, 499, 500
+"""Status of an action in the audit: the HTTP status that its answer has, or would have had."""
+WITHOUT_EFFECT = range(400, 500)
+"""Statuses of an action that was refused, or stopped before it began."""
+
 
 @dataclass(frozen=True, slots=True)
 class Head:
