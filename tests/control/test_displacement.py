@@ -1,12 +1,14 @@
 """A process that integrates: where a tuning in manual leaves its PV is said, and true."""
 
 import asyncio
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from autotuner.application.analysis.displacement import displacement_warning
 from autotuner.core.model.process import Fopdt, Integrating
+from autotuner.core.notes import Note
 from autotuner.core.recording import Sample
 from autotuner.ports import PV
 from tests.control.conftest import Rig
@@ -28,6 +30,17 @@ def test_by_hand():
     assert displacement_warning(samples, Integrating(0.05, 0.0, 1.0), auto=True) is None
     assert displacement_warning(samples, Fopdt(2.0, 10.0, 1.0), auto=False) is None
     assert displacement_warning(record([40.0] * 60), Integrating(0.05, 0.0, 1.0), auto=False) is None
+
+
+def test_a_pv_that_drifted_when_it_was_found_is_a_note():
+    """A load of 1 beside an output at rest: 0.05 a second, 5 in 100 s, of which 0.475 before the middle of 20 samples."""
+    samples = [replace(one, pv=one.pv + 0.05 * one.t) for one in record([40.0] * 30 + [42.0, 38.0] * 35 + [40.0])]
+    text = displacement_warning(samples, Integrating(0.05, 0.0, 1.0), auto=False)
+    assert "left +4.52 from 50.48" in text
+    assert "drifted when the loop was found" in text
+    assert isinstance(text, Note)
+    still = displacement_warning(record([40.0] * 30 + [42.0] * 40 + [40.0]), Integrating(0.05, 0.0, 1.0), auto=False)
+    assert not isinstance(still, Note)
 
 
 def test_what_is_on_its_way_through_a_lag_counts_by_what_is_left_of_it():

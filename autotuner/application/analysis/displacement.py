@@ -3,7 +3,8 @@
     displacement = PV at the end - PV at the start + K int (u - u_0) w(age) dt,   w = 1 up to D, then exp(-(age - D)/T)
 
 `u_0` is the output at the start, at which the loop was at rest; `w` accounts for the response that is still to come. A
-load during the test also moves the PV permanently, but is not part of this figure. `K` PV per output and second.
+load during the test also moves the PV permanently, but is not part of this figure. `K` PV per output and second. A PV
+that drifted when the loop was found is not where it was found in any case: then the displacement is a note.
 """
 
 from __future__ import annotations
@@ -13,10 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.model.process import Integrating
+from autotuner.core.notes import Note
+from autotuner.core.signals.quiet import measure_quiet
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Sample
 
@@ -50,7 +54,13 @@ def displacement_warning(samples: Sequence[Sample], model: ProcessModel | None, 
     displacement = float(np.median(pv[-AT_END:])) - found + model.K * float((output[:-1] - output[0]) @ on_its_way)
     if abs(displacement) <= max(SEEN * float(np.std(pv[:AT_REST])), WORTH_A_WORD * float(np.ptp(pv))):
         return None
-    return (
-        f"the process integrates, and the loop is in manual: the PV was left {displacement:+.3g} from {found:.4g}, "
-        "its initial value; move it back by hand, or switch the loop to automatic"
-    )
+    left = f"the process integrates, and the loop is in manual: the PV was left {displacement:+.3g} from {found:.4g}, "
+    if _drifted(t, pv, output):
+        return Note(f"{left}its initial value; it drifted when the loop was found, and goes on doing so in manual")
+    return f"{left}its initial value; move it back by hand, or switch the loop to automatic"
+
+
+def _drifted(t: FloatArray, pv: FloatArray, output: FloatArray) -> bool:
+    """Return whether the PV drifted before the output first moved."""
+    resting = int(np.argmax(output != output[0])) or output.size
+    return resting >= AT_REST and measure_quiet(t[:resting], pv[:resting]).drifts

@@ -82,7 +82,7 @@ class Experiment:
         self._relay_seen: dict[str, object] = {}
         self._baseline: Baseline | None = None
         self._line_verdict: Verdict | None = None
-        self._integrates = False
+        self._integrates = self._drifted = False
         self._impulse = 0.0
         self._last: tuple[float, float] | None = None
 
@@ -164,8 +164,11 @@ class Experiment:
         self._last = (sample.t, sample.output)
 
     def _returning(self, stage: Stage, step: Step, sample: Sample) -> Step:
-        """Return the step, or where the check of an integrating process ends, one that brings the PV back first."""
-        alone = self.settings.online is None and self._baseline is None
+        """Return the step, or where the check of an integrating process ends, one that brings the PV back first.
+
+        Its time follows from the output alone, so the PV must have been at rest under the output that was found.
+        """
+        alone = self.settings.online is None and self._baseline is None and not self._drifted
         if step.event is not PhaseEvent.CHECKED or not (self._integrates and alone):
             return step
         if not isinstance(stage, HalfRelay | Holds):

@@ -140,7 +140,7 @@ def warnings_about(
         *_outliers(best),
         *_moments(best),
         *_perhaps_between(choice, estimate),
-        *_stuck(stuck, best),
+        *_stuck(stuck, best, recording, step),
         *_beyond_the_record(best, recording),
     ]
     return (*recording.notes, *notes)
@@ -292,10 +292,11 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
     ]
 
 
-def _stuck(stuck: Stuck | None, best: Candidate) -> list[str]:
+def _stuck(stuck: Stuck | None, best: Candidate, recording: Recording, step: float) -> list[str]:
     if stuck is None:
         return []
-    if best.white and best.counts[stuck.rows].all():
+    explained = best.white or unexplained_share(best, recording, step) <= SMALL_MISFIT
+    if explained and best.counts[stuck.rows].all():
         return []  # explained with these samples: the process rests there
     left_out = bool((~best.counts & stuck.rows).any())
     return [*stuck.notes, *(["those samples were left out"] if left_out else [])]
