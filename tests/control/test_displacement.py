@@ -33,7 +33,7 @@ def test_by_hand():
 
 
 def test_a_pv_that_drifted_when_it_was_found_is_a_note():
-    """A load of 1 beside an output at rest: 0.05 a second, 5 in 100 s, of which 0.475 before the middle of 20 samples."""
+    """A load of 1 beside an output at rest: 0.05 a second: 5 in 100 s, less 0.475 to the middle of 20 samples."""
     samples = [replace(one, pv=one.pv + 0.05 * one.t) for one in record([40.0] * 30 + [42.0, 38.0] * 35 + [40.0])]
     text = displacement_warning(samples, Integrating(0.05, 0.0, 1.0), auto=False)
     assert "left +4.52 from 50.48" in text
