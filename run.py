@@ -50,6 +50,8 @@ SLOWING = ("PYTHONDONTWRITEBYTECODE",)
 
 PINNED = ("--require-hashes", "--no-deps")
 """How pip installs pins: they are complete, so nothing is resolved, and no newer release can get in the way."""
+COMPILING = ["-m", "compileall", "-qq", "-j", "0", "-x", r"[/\\]tests?[/\\]"]
+"""How what was installed is compiled: on all processors, where pip takes one, and without the packages' own tests."""
 
 CHECKS = {
     "ruff check": ["-m", "ruff", "check"],
@@ -142,8 +144,9 @@ def install(kind: str) -> None:
     pins = ROOT / "constraints" / f"{kind}.txt"
     count = sum(not line.startswith(" ") for line in pins.read_text(encoding="utf-8").splitlines())
     say(f"installing {count} packages into {VENV} (once; a minute or two)")
-    run_pip([*pip, "install", *PINNED, "--only-binary", ":all:", "-r", pins])
+    run_pip([*pip, "install", *PINNED, "--no-compile", "--only-binary", ":all:", "-r", pins])
     run_pip([*pip, "install", "--no-deps", "--no-build-isolation", "-e", ROOT])
+    compile_installed()
     covered = {kind, "runtime"}  # the pins of the tests contain those of the tuner
     STAMP.write_text("\n".join(map(fingerprint, sorted(covered))) + "\n", encoding="utf-8")
 
@@ -180,6 +183,11 @@ def run_pip(command: list[str | Path]) -> None:
         sys.stderr.write(done.stderr)
         meaning = (hint for words, hint in HINTS.items() if words in done.stderr)
         raise InstallError(f"not installed: {next(meaning, 'pip says why above.')}")
+
+
+def compile_installed() -> None:
+    """Compile the installed modules; templates, which are no Python yet, are passed over."""
+    call([PYTHON, "-P", *COMPILING, VENV])
 
 
 def call(

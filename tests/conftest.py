@@ -31,6 +31,7 @@ use_one_thread()  # before anything imports numpy
 
 from autotuner.application.analysis.learned import ARTEFACTS  # noqa: E402
 from autotuner.application.computing.compute_pool import InPlace  # noqa: E402
+from autotuner.core.design import design_procedure  # noqa: E402
 
 hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("house")
@@ -76,8 +77,12 @@ def state(monkeypatch, tmp_path_factory):
 
 @pytest.fixture(autouse=True, scope="session")
 def computed_once():
-    """Compute each result of a pure computation once a session, and give each caller a copy, as a worker does."""
-    results, run = {}, InPlace.run
+    """Compute each result of a pure computation once a session, and give each caller a copy, as a worker does.
+
+    The search for gains too, where a specification asks for it: reports, choices and restarts ask for the same gains.
+    The tests of the search itself call it past this.
+    """
+    results, run, tune = {}, InPlace.run, design_procedure.tune
 
     async def run_once(self, function, /, *args, **kwargs):
         if function.__module__ != "autotuner.application.computing.computations":
@@ -87,8 +92,15 @@ def computed_once():
             results[key] = pickle.dumps(await run(self, function, *args, **kwargs))
         return pickle.loads(results[key])  # noqa: S301 - its own pickle
 
+    def tune_once(*args, **kwargs):
+        key = pickle.dumps(("tune", args, kwargs))
+        if key not in results:
+            results[key] = pickle.dumps(tune(*args, **kwargs))
+        return pickle.loads(results[key])  # noqa: S301 - its own pickle
+
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(InPlace, "run", run_once)
+        patched.setattr(design_procedure, "tune", tune_once)
         yield
 
 

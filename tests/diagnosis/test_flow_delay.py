@@ -60,7 +60,7 @@ def test_it_conforms():
     assert check_effect(EffectPlugin("pipe", make, "up to {longest_over_first:.3g} times")) == []
 
 
-@pytest.mark.parametrize(("kind", "share"), [("delay", 0.4), ("balanced", 0.6)])
+@pytest.mark.parametrize(("kind", "share"), [("delay", 0.4), pytest.param("balanced", 0.6, marks=pytest.mark.long)])
 def test_it_is_named_with_its_size_on_a_record_of_the_simulator(kind, share):
     plant, step_s = PLANTS[kind], SAMPLE_S[kind]
     sigma = swing_of_pv(plant, step_s) * 10.0 ** (-40.0 / 20.0)

@@ -28,6 +28,8 @@ def run(root, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "STAMP", project / ".venv" / "stamp.txt")
     monkeypatch.setattr(module, "working_pip", lambda: ["pip"])
     module.asked = []
+    module.compile_now = module.compile_installed
+    monkeypatch.setattr(module, "compile_installed", lambda: None)
     monkeypatch.setattr(module, "run_pip", lambda command: module.asked.append([str(word) for word in command]))
     return module
 
@@ -38,6 +40,23 @@ def test_installs_by_hash_first_and_the_project_last(run):
     assert {"--require-hashes", "--no-deps", str(run.ROOT / "constraints" / "runtime.txt")} <= set(pins)
     assert project[-2:] == ["-e", str(run.ROOT)]
     assert {"--no-deps", "--no-build-isolation"} <= set(project)
+
+
+def test_what_pip_leaves_to_be_compiled_is_compiled(run, monkeypatch):
+    monkeypatch.setattr(run, "compile_installed", lambda: run.asked.append("compiled"))
+    run.install("runtime")
+    assert "--no-compile" in run.asked[0]
+    assert run.asked[-1] == "compiled"
+
+
+def test_modules_are_compiled_without_the_tests_of_packages(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "VENV", tmp_path)
+    monkeypatch.setattr(run, "PYTHON", sys.executable)
+    for name in ("package/module.py", "package/tests/test_module.py", "package/template.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("def {name}" if "template" in name else "x = 1\n")
+    run.compile_now()
+    assert [file.name.partition(".")[0] for file in tmp_path.rglob("*.pyc")] == ["module"]
 
 
 @pytest.mark.parametrize(("first", "second", "installations"), [
