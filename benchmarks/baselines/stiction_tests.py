@@ -123,7 +123,9 @@ def curve_fit(u: Array, _y: Array) -> Verdict:
     halves = half_cycles(straightened(u))
     if not halves:
         return Verdict.OPEN
-    sine, triangle = (np.mean([_error(half, shapes(half.size)) for half in halves]) for shapes in (_sine, _triangles))
+    sine, triangle = (
+        float(np.mean([_error(half, shapes(half.size)) for half in halves])) for shapes in (_sine, _triangles)
+    )
     index = sine / max(sine + triangle, 1e-300)
     return Verdict.STICKS if index >= TRIANGULAR else Verdict.FREE if index <= SINUSOIDAL else Verdict.OPEN
 
@@ -134,7 +136,7 @@ def relay_fit(_u: Array, y: Array) -> Verdict:
     if not halves:
         return Verdict.OPEN
     sine, triangle, relay = (
-        np.mean([math.sqrt(_error(half, shapes(half.size))) for half in halves])
+        float(np.mean([math.sqrt(_error(half, shapes(half.size))) for half in halves]))
         for shapes in (_sine, _symmetric_triangle, _relay_responses)
     )
     other = min(triangle, relay)
