@@ -188,7 +188,7 @@ class Experiment:
         if self._baseline is None or self._levels is None or not isinstance(stage, Oscillation):
             return step
         self._baseline, self._line_verdict = None, step.verdict
-        again = Rest(self.settings, self.initial_output, self._levels, follows=False)
+        again = Rest(self.settings, self.initial_output, self._levels, left=stage)
         return Step(self.initial_output, PhaseEvent.LEFT_LINE, again, warning=LEFT_LINE_NOTE)
 
     def _over_time(self, sample: Sample) -> bool:

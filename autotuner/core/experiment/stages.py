@@ -67,15 +67,19 @@ class Rest:
         Output that is held, output units.
     levels : Levels
         Relay levels placed around it.
-    follows : bool
-        Whether a drift may be followed along a line; otherwise a relay about a fixed reference works against it.
+    left : Oscillation, optional
+        An earlier relay that followed a line which the PV left: now a relay about a fixed reference works against a
+        drift.
     """
 
-    def __init__(self, settings: ExperimentSettings, output: float, levels: Levels, *, follows: bool = True) -> None:
+    def __init__(
+        self, settings: ExperimentSettings, output: float, levels: Levels, left: Oscillation | None = None
+    ) -> None:
         self._settings = settings
         self._output = output
         self._levels = levels
-        self._follows = follows
+        self._follows = left is None
+        self._half_s = 0.0 if left is None else left.longest_half_s
         self._samples: list[tuple[float, float]] = []
         self._started_s = math.inf
 
@@ -130,7 +134,7 @@ class Rest:
         self, sample: Sample, quiet: QuietMeasurement, drift: QuietMeasurement | None = None, *, follows: bool = True
     ) -> Step:
         """Begin the relay phase; `drift` is the rest of a drifting PV, which a relay that follows must find small."""
-        rested = OperatingPoint(self._settings, self._output, self._levels, quiet, drift, follows)
+        rested = OperatingPoint(self._settings, self._output, self._levels, quiet, drift, follows, self._half_s)
         if self._levels.one_sided:
             push = Push(rested, sample.t)
             return Step(push.level, PhaseEvent.RESTED_AT_LIMIT, push)

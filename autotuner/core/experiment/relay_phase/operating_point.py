@@ -44,6 +44,8 @@ class OperatingPoint:
         Rest of a PV that drifts, where the drift must be small compared with the relay's oscillation; else None.
     is_followed : bool
         Whether the reference of the relay moves with that drift.
+    half_s : float
+        Longest half period under an earlier relay, s; 0 without one.
     """
 
     settings: ExperimentSettings
@@ -52,6 +54,7 @@ class OperatingPoint:
     quiet: QuietMeasurement
     drift: QuietMeasurement | None = None
     is_followed: bool = True
+    half_s: float = 0.0
 
     @property
     def hysteresis(self) -> float:

@@ -67,7 +67,8 @@ class Oscillation:
         self._action_check = ActionCheck(rested, started_s)
         self._recentres = self._adaptions = 0
         self._model_error, self._expected_loss = math.inf, 0.0
-        self._first_half_s = self._longest_half_s = 0.0
+        self._first_half_s = 0.0
+        self.longest_half_s = rested.half_s
 
     def step(self, sample: Sample) -> Step:
         """Switch the relay; evaluate each full period; refuse a PV that does not oscillate."""
@@ -121,7 +122,7 @@ class Oscillation:
         """
         duty = usual_duty(self.detector.cycles)
         if not self._is_buried(cycle.peak):
-            self._longest_half_s = max(self._longest_half_s, self.detector.longest_half_s)
+            self.longest_half_s = max(self.longest_half_s, self.detector.longest_half_s)
             if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
                 return self._recentre(cycle, duty, pv)
         if self._adaptions < MAX_ADAPTIONS and (stronger := adapted(self.relay, cycle, self._rested)):
@@ -185,7 +186,7 @@ class Oscillation:
 
     def _hangs(self, t: float) -> bool:
         """Return whether nothing oscillated yet, and a single switch, which noise can have made, is long past."""
-        if not self._about_rest or self._longest_half_s:
+        if not self._about_rest or self.longest_half_s:
             return False
         return t - self._half_started_s >= LONG_PAST * (self._half_started_s - self._moved_s)
 
@@ -238,8 +239,8 @@ class Oscillation:
 
     def _no_oscillation(self, sample: Sample) -> Verdict | None:
         settings, switches = self._rested.settings, len(self.detector.switch_times_s)
-        patience_s = PATIENCE * self._longest_half_s or settings.longest_response_s
-        if not self._longest_half_s and settings.response_limit_s is None:
+        patience_s = PATIENCE * self.longest_half_s or settings.longest_response_s
+        if not self.longest_half_s and settings.response_limit_s is None:
             patience_s = max(patience_s, PATIENCE * self._first_half_s)
         if sample.t - self._half_started_s > patience_s:
             return self._stopped(sample, patience_s)
