@@ -28,7 +28,9 @@ from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thin
 from autotuner.core.diagnosis.extended.intervals import covariance, effect_intervals, process_covariance
 from autotuner.core.diagnosis.extended.repair import without_gaps
 from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
+from autotuner.core.diagnosis.findings.sensor_effects import fitted_to_intervals
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.record.sensor import Grid
 from autotuner.core.recording import Recording
 from autotuner_sim import ActuatorHold, Fopdt, LoadStep, OutputQuantisation, Saturation
 from tests.diagnosis.simulated import (
@@ -223,6 +225,41 @@ def test_a_blurred_size_is_wider_by_its_blur():
     assert widths[1] - widths[0] == pytest.approx(2.0 * 0.25 * (3.0 / 16.0) ** 2 * 16.0)
 
 
+def test_the_gain_beside_steps_of_the_actuator_is_as_open_as_the_steps():
+    """Steps that round all levels alike leave the same position but for a factor, which the gain takes up."""
+    recording = noisy(record(LAG, moves(seed=5), actuators=[OutputQuantisation(3.0)]), 0.02)
+    effect = replace(quantisation(dataset_of(recording), "from the rest", []), blur=None)
+    step = 2.9 / 16.0
+    found = fitted_rows(at_the_truth(recording, LAG, (effect, (step, 0.0))))
+    context = bench_of(found.problem.dataset)
+    low, high = effect_intervals(context, found)[0]["step"]
+    levels = np.unique(np.round(found.problem.dataset.data.held.levels, 9))
+    tried = np.linspace(1.5, 6.0, 200_001)
+    alike = tried[(np.round(levels[:, None] / tried) == np.round(levels / 2.9)[:, None]).all(axis=0)]
+    assert (low, high) == pytest.approx((alike.min(), alike.max()), rel=5e-3)
+    half = 1.96 * math.sqrt(process_covariance(context, found)[0, 0])
+    widest = max(2.9 / alike.min() - 1.0, 1.0 - 2.9 / alike.max())
+    assert half / found.process().K == pytest.approx(widest, rel=0.05)
+    assert abs(found.process().K - LAG.K) < half
+
+
+def test_a_coarse_sensor_leaves_its_error_in_the_intervals():
+    """Within the readings' steps nothing is left; the gain is known as from a noise of step/sqrt(12)."""
+    grid = Grid(0.5, 0.25, rounded=True)
+    whole = record(LAG, moves())
+    coarse = Recording(whole.t, whole.output, grid.step * np.round(whole.pv / grid.step))
+    found = fitted_rows(at_the_truth(coarse, LAG))
+    context = bench_of(found.problem.dataset)
+    within = fitted_to_intervals(context, found, grid)
+    assert within.rms < 0.1 * grid.step
+    white = fitted_rows(at_the_truth(noisy(whole, grid.step / math.sqrt(12.0), 3), LAG))
+    plain, rounded = (
+        math.sqrt(process_covariance(bench_of(f.problem.dataset) if c is None else c, f)[0, 0])
+        for c, f in ((None, white), (context, within))
+    )
+    assert plain / 1.5 < rounded < 3.0 * plain  # errors of rounding are alike where the PV stands
+
+
 def test_moves_of_unknown_lateness_leave_their_slopes():
     """One move of 10 at 60 s: e(t) = s K 10 e^{-t/T}/T from then on."""
     u = np.where(np.arange(300) < 60, 0.0, 10.0)
@@ -246,8 +283,8 @@ def autoregressive(sigma, a, count, seed):
     return np.array(values)
 
 
-def with_residual(residual):
-    alone = record(PAIR, moves(600))
+def with_residual(residual, output=None):
+    alone = record(PAIR, moves(600) if output is None else output)
     recording = Recording(alone.t, alone.output, alone.pv + residual)
     fitted = fitted_rows(at_the_truth(recording, PAIR))
     return bench_of(fitted.problem.dataset), fitted
@@ -275,6 +312,16 @@ def test_a_residual_that_a_process_leaves_is_no_noise(residual):
     assert coloured_noise(*with_residual(residual)) is None
 
 
+@pytest.mark.parametrize("share", [0.0, 0.04])
+def test_noise_that_follows_the_output_is_no_noise(share):
+    """A dither of the output has no memory: what follows it by a sample has none either, in every part."""
+    dither = 2.0 * np.random.default_rng(3).choice([-1.0, 1.0], 600)
+    dither[:15] = 0.0
+    residual = autoregressive(0.1, 0.6, 600, 4) + share * np.roll(dither, 1)
+    found = coloured_noise(*with_residual(residual, moves(600) + dither))
+    assert (found is None) == (share > 0.0)
+
+
 @pytest.mark.parametrize("step", [2.2, 3.0])
 def test_the_likeliest_steps_are_the_simulators(step):
     """From 24 levels of the output and a residual with noise."""
@@ -289,16 +336,20 @@ def test_the_likeliest_steps_are_the_simulators(step):
     assert all(origin == 0.0 for _, origin in found)
 
 
-@pytest.mark.parametrize("period_s", [5.3, 6.7])
-def test_the_likeliest_updates_are_the_simulators(period_s):
-    """Moves at uneven times, with the dead time in which half of a period is taken up."""
-    random = np.random.default_rng(2)
+@pytest.mark.parametrize("period_s", [2.7, 3.7, 5.3, 6.7])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_the_likeliest_updates_are_the_simulators(period_s, seed):
+    """Moves at uneven times after a rest, with the dead time in which half of a period is taken up."""
+    random = np.random.default_rng(seed)
     u = np.repeat(random.uniform(-8.0, 8.0, 30), random.integers(7, 16, 30))
+    u[:10] = 0.0
     recording = record(LAG, u, actuators=[ActuatorHold(period_s)], actuator_scan_s=0.1)
     late = Fopdt(LAG.K, LAG.T, LAG.D + period_s / 2.0)
     base = fitted_rows(at_the_truth(recording, late))
     found = update_grids(base, base.problem.rows)
-    assert min(abs(period - period_s) for period, _ in found) < 0.05
+    period, phase = min(found, key=lambda grid: abs(grid[0] - period_s))
+    assert period == pytest.approx(period_s, abs=0.01)
+    assert min(phase, 1.0 - phase) < 0.15  # the simulator's updates begin with the record
 
 
 def loop_record(actuator, count=600, **physics):

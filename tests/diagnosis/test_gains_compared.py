@@ -18,7 +18,7 @@ from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.sensor import Grid
 from autotuner.core.diagnosis.search.detectability import blind_spots
-from autotuner.core.model.process import Fopdt, SopdtOverdamped, SopdtUnderdamped
+from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped
 from autotuner.core.model.structures import FOPDT
 from autotuner.errors import InputError
 
@@ -130,6 +130,14 @@ def test_calmer_gains_are_told_where_they_cost_less(asked, calm, reported):
 ])  # fmt: skip
 def test_a_response_lasts_25_answer_times(model, expected):
     assert lasts_s(model) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.2, 6.0])
+def test_the_length_of_a_response_scales_with_the_time_of_an_integrating_process(lag_s):
+    """The same process in hours: `K e^{-Ds}/(s (T s + 1))` with K per hour."""
+    in_s, in_h = Integrating(0.05, lag_s, 2.0), Integrating(180.0, lag_s / 3600.0, 2.0 / 3600.0)
+    assert lasts_s(in_s) == pytest.approx(3600.0 * lasts_s(in_h))
+    assert lasts_s(in_s) == pytest.approx(25.0 * (5.0 * max(2.0, lag_s) + 2.0))
 
 
 # ---------------------------------------------------------------------------------------------------- coarse readings

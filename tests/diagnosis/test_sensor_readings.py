@@ -80,6 +80,14 @@ def test_the_tail_of_the_noise_is_no_fault(size, count):
     assert np.count_nonzero(spikes_of(residual, 0.0)) == (at.size if count else 0)
 
 
+@pytest.mark.parametrize(("apart", "found"), [(20, True), (12, True), (9, True), (8, False)])
+def test_single_outliers_are_found_up_to_an_eighth_of_the_samples(apart, found):
+    """Of one sample in 9, 11 %, and not of one in 8: above 12 % they are not isolated."""
+    off = np.arange(N) % apart == apart // 2
+    residual = 0.1 * NOISE + np.where(off, np.where(np.arange(N) % 3, 50.0, -40.0), 0.0)
+    assert spikes_of(residual, 0.1).tolist() == (off & found).tolist()
+
+
 @pytest.mark.parametrize(("count", "found"), [(4, True), (6, False)])
 def test_many_outliers_are_not_isolated(count, found):
     """Bursts of 4 in 40 samples are a tenth, of 6 more than the 12 % that may be."""
@@ -208,6 +216,7 @@ def test_a_sensor_that_reports_changes_may_be_a_whole_step_off(least):
     found = grid_of(sent_on_change(pv, least))
     assert found is not None
     assert not found.rounded
+    assert found.sends
     assert found.half == found.step == pytest.approx(least, rel=0.05)
 
 
@@ -229,6 +238,21 @@ def test_the_size_of_a_jump_on_a_slope_is_exact(size, k, share):
     for at_s, seen in found:
         assert at_s == pytest.approx((t[k] + t[k + 1]) / 2.0)
         assert seen == pytest.approx(size)
+
+
+@pytest.mark.parametrize("share", [0.7, 1.0, 2.0])
+def test_a_jump_against_a_steep_slope_is_no_wild_reading(share):
+    """The PV rises by 1 to 3 a sample and falls by 2 at one: what is seen there may be minus the rise elsewhere."""
+    k, size = 150, -2.0
+    ((at_s, seen),) = visible_jumps(np.arange(float(N)), share * np.arange(N) + size * (np.arange(N) > k), 0.01)
+    assert at_s == k + 0.5
+    assert seen == pytest.approx(size)
+
+
+def test_a_wild_reading_on_a_steep_slope_is_no_jump():
+    pv = 2.0 * np.arange(N)
+    pv[150] += 3.0
+    assert visible_jumps(np.arange(float(N)), pv, 0.01) == []
 
 
 @pytest.mark.parametrize(("share", "count"), [(5.9, 0), (6.1, 1)])

@@ -18,7 +18,15 @@ from autotuner.core.diagnosis.findings.sensor_effects import explained_by_grid
 from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
 from autotuner.core.diagnosis.record.dataset import AT_REST_FIRST, COLD, dataset_of
 from autotuner.core.diagnosis.record.parts import parts_of
-from autotuner.core.diagnosis.record.sensor import SensorRecord, frozen, grid_of, spikes_of
+from autotuner.core.diagnosis.record.sensor import (
+    FEWEST_ELSEWHERE,
+    FEWEST_NEW,
+    SensorRecord,
+    frozen,
+    grid_of,
+    new_readings,
+    spikes_of,
+)
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.measured_disturbances import with_known
 from autotuner.core.diagnosis.search.trace import Trace, trace, with_own_times
@@ -36,6 +44,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.findings.gain_comparison import Design
     from autotuner.core.diagnosis.findings.result import Diagnosis
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.diagnosis.record.sensor import Grid
     from autotuner.core.model.arrays import BoolArray
     from autotuner.core.model.process import ProcessModel
@@ -145,6 +154,8 @@ class _Record:
         grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
         grid_noise = 0.0 if grid is None else grid.step * (GRID_NOISE if grid.rounded else DELTA_NOISE)
         dataset = dataset_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
+        if grid is not None and grid.sends:
+            dataset = _of_new_readings(dataset, new_readings(self.used.pv))
         return bench_of(replace(dataset, budget=self.budget))
 
     def based(self, spikes: BoolArray | None = None) -> tuple[FitContext, Base]:
@@ -227,6 +238,16 @@ class _Record:
             return explained_by_grid(context, base.best, self.grid)
         jitter = jitter_seen(context, base.best) if base.held is None else None
         return jitter is not None and _foretells(context, base.best, *jitter)
+
+
+def _of_new_readings(dataset: Dataset, new: BoolArray) -> Dataset:
+    """Return the dataset with only readings that a sensor has just sent; as it is where these are too few.
+
+    Repeated ones lag behind the PV like play: fitted as measurements, they make the gain too small.
+    """
+    fitted, held_out = dataset.fitted & new, dataset.held_out & new
+    enough = np.count_nonzero(fitted) >= FEWEST_NEW and np.count_nonzero(held_out) >= FEWEST_ELSEWHERE
+    return replace(dataset, fitted=fitted, held_out=held_out) if enough else dataset
 
 
 def _foretells(context: FitContext, candidate: Fitted, spread_s: float, noise: float) -> bool:

@@ -256,4 +256,5 @@ def _there_and_back(dataset: Dataset) -> Effect:
         order=8,
         price=math.log(20.0),
         group="step",
+        blur=lambda _p: {"at_s": 0.5 * interval, "lasts_s": interval},
     )

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.record.sensor import comes_back
 from autotuner.core.estimation.linear_least_squares import solve_linear
 
 if TYPE_CHECKING:
@@ -66,8 +67,7 @@ def plain_jump(dataset: Dataset) -> float | None:
     odd = np.abs(d[1:-1] - (d[:-2] + d[2:]) / 2.0)
     k = int(np.argmax(odd))
     others = np.delete(odd, slice(max(k - 1, 0), k + 2))
-    back = min(abs(d[k + 1] + d[k]), abs(d[k + 1] + d[k + 2]))  # a wild reading jumps there and back
-    if odd[k] < UNMISTAKABLE * others.max() or back < abs(d[k + 1]) / 2.0:
+    if odd[k] < UNMISTAKABLE * others.max() or comes_back(d)[k + 1]:
         return None
     t = dataset.data.t[rows]
     return float(t[k + 1] + t[k + 2]) / 2.0

@@ -64,7 +64,11 @@ class FitContext:
 
     def colour(self, candidate: Fitted) -> float:
         """Return the number of samples of a candidate's residual per independent one."""
-        return 1.0 if candidate.rms <= self.dataset.floor else inflation(candidate.residual)
+        return self.inflation(candidate.residual)
+
+    def inflation(self, residual: FloatArray) -> float:
+        """Return the number of samples of a residual per independent one; 1 for one of rounding."""
+        return 1.0 if rms(residual) <= self.dataset.floor else inflation(residual)
 
     def held_out_residual(self, candidate: Fitted) -> FloatArray:
         """Return measured minus simulated on the part that was not fitted, PV."""

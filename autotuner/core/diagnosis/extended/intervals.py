@@ -8,11 +8,18 @@
 A size in which the simulation is a staircase (the band of a sticking valve), or strongly nonlinear, has a profile
 interval instead: all values at which the misfit, all else refitted, rises by less than chi^2(0.95) = 3.84 allows.
 The time of a jump of the reading lies anywhere between two samples: this uncertainty is added.
+
+The process beside such a number `s` has what its covariance is with `s` held, and what the profile of `s` adds:
+
+    cov x = E cov(x | s) + cov E(x | s),   cov E(x | s) ~ v v',   v = (x(end of the profile) - x)/1.96
+
+(law of total covariance): steps of an actuator that are 1 % larger leave a gain that is 1 % smaller.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +30,7 @@ from autotuner.core.quantiles import CHI2_95, NORMAL_95
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
@@ -34,23 +41,29 @@ ROUGH = 1e-3
 MOST_MORE = 4.0
 """Largest weight of the mean square of the held-out part, relative to the fitted part."""
 TRIED, NEAREST = 50, 1e-4
+BISECTIONS = 6
+"""Halvings of the last step of a profile: its end is found to a 64th of it, 0.3 % of the distance from the centre."""
 RIDGE = 1e-14
 """Regularisation of normal equations whose columns have length 1: above rounding (2e-16), below any information."""
 Interval = tuple[float, float]
+Ends = tuple[tuple["FloatArray", "FloatArray"], ...]
+"""`theta` and linear parameters at the ends of a profile."""
 
 
-def covariance(context: FitContext, fitted: Fitted) -> FloatArray:
-    """Return the covariance of `theta` and the linear parameters; 0 for fixed ones."""
+def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ()) -> FloatArray:
+    """Return the covariance of `theta` and the linear parameters; 0 for fixed ones, and where `theta` is held."""
     columns, slopes = fitted.problem.tangent(fitted.theta)
     held = fitted.theta.size - slopes.shape[1]
+    slopes[:, [k - held for k in held_at]] = 0.0
     J = np.hstack((slopes, columns))
     scale = np.sqrt(np.einsum("ij,ij->j", J, J))
     live = scale > 0.0
     normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
-    free = max(fitted.residual.size - J.shape[1], 1)
-    square = float(fitted.residual @ fitted.residual) / free
+    residual = _residual(context, fitted)
+    free = max(residual.size - J.shape[1], 1)
+    square = float(residual @ residual) / free
     elsewhere = float(np.mean(context.held_out_residual(fitted) ** 2))
-    variance = min(max(elsewhere, square), MOST_MORE * square) * context.colour(fitted)
+    variance = min(max(elsewhere, square), MOST_MORE * square) * context.inflation(residual)
     cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
     at = held + np.flatnonzero(live)
     widths = np.concatenate(
@@ -60,6 +73,13 @@ def covariance(context: FitContext, fitted: Fitted) -> FloatArray:
     inverse = np.linalg.pinv(normal + np.diag(RIDGE + within), hermitian=True)
     cov[np.ix_(at, at)] = variance * inverse / np.outer(scale[live], scale[live])
     return cov
+
+
+def _residual(context: FitContext, fitted: Fitted) -> FloatArray:
+    """Return measured minus simulated PV: of a coarse sensor with the error of its readings, within which it fits."""
+    rows = fitted.problem.rows
+    moved = fitted.problem.dataset.data.pv[rows] - context.dataset.data.pv[rows]
+    return fitted.residual - moved
 
 
 def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Interval]]:
@@ -78,8 +98,9 @@ def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Inte
         blur = {} if effect.blur is None else effect.blur(p)
         wide = {name: spread[name] + blur.get(name, 0.0) for name in sizes}
         found = {name: (value - wide[name], value + wide[name]) for name, value in sizes.items()}
-        for ends in profiles.get(row, []):
-            found = {name: (min(low, ends[name]), max(high, ends[name])) for name, (low, high) in found.items()}
+        for _, of, ends in profiles:
+            for there in (one(*end) for end in ends if of == row):
+                found = {name: (min(low, there[name]), max(high, there[name])) for name, (low, high) in found.items()}
         result.append(found)
     return result
 
@@ -94,13 +115,31 @@ def process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None
 
     try:
         centre = dict(parameters(fitted.theta, fitted.linear))
-        cov = covariance(context, fitted)
+        profiles = _profiles(context, fitted)
+        cov = covariance(context, fitted, [k for k, *_ in profiles])
         slopes = _slopes(parameters, centre, fitted, cov)
     except (InputError, KeyError):
         return None
     rows = np.array([slopes[name] for name in centre])
     result: FloatArray = rows @ cov @ rows.T
+    for _, _, ends in profiles:
+        result = result + _spread_over(parameters, centre, ends)
     return result
+
+
+def _spread_over(
+    parameters: Callable[[FloatArray, FloatArray], Mapping[str, float]], centre: Mapping[str, float], ends: Ends
+) -> FloatArray:
+    """Return the covariance that a number adds between the ends of its profile; 0 where no process is left there."""
+    spread = np.zeros((len(centre), len(centre)))
+    for theta, linear in ends:
+        try:
+            there = parameters(theta, linear)
+        except (InputError, ValueError, OverflowError):
+            continue
+        away = np.array([there.get(name, value) - value for name, value in centre.items()]) / NORMAL_95
+        spread = max(spread, np.outer(away, away), key=lambda found: float(found[0, 0]))
+    return spread
 
 
 def process_intervals(fitted: Fitted, cov: FloatArray | None) -> dict[str, Interval]:
@@ -144,37 +183,45 @@ def _slopes(
     return slopes
 
 
-def _profiles(context: FitContext, fitted: Fitted) -> dict[int, list[dict[str, float]]]:
-    """Return, by effect, the sizes at the ends of the profile of each of its numbers that has one."""
-    result: dict[int, list[dict[str, float]]] = {}
+@lru_cache(maxsize=4)
+def _profiles(context: FitContext, fitted: Fitted) -> tuple[tuple[int, int, Ends], ...]:
+    """Return of each number that has a profile: its place in `theta`, its effect, and all that was fitted at the ends.
+
+    Cached, because sizes and process need them.
+    """
+    result = []
     at = len(fitted.problem.structure.shape) + 1
     for row, effect in enumerate(fitted.problem.effects):
         for k, searched in enumerate(effect.searched):
             if searched.profiled or (searched.step >= ROUGH and effect.position is not None):
-                ends = _profile(context, fitted, at + k, (searched.low, searched.high))
-                result.setdefault(row, []).extend(
-                    sizes_at(fitted.problem, theta, linear, fitted.counts)[row] for theta, linear in ends
-                )
+                result.append((at + k, row, _profile(context, fitted, at + k, (searched.low, searched.high))))
         at += len(effect.searched)
-    return result
+    return tuple(result)
 
 
-def _profile(context: FitContext, fitted: Fitted, k: int, bounds: Interval) -> list[tuple[FloatArray, FloatArray]]:
+def _profile(context: FitContext, fitted: Fitted, k: int, bounds: Interval) -> Ends:
     """Return all that was fitted at the two ends of the values of one number that explain the record as well."""
     least = float(fitted.residual @ fitted.residual) + fitted.residual.size * context.dataset.floor**2 * 0.01
     allowed = least * (1.0 + CHI2_95 * context.colour(fitted) / fitted.residual.size)
     centre = float(fitted.theta[k])
     ends = []
     for end in bounds:
-        kept = (fitted.theta, fitted.linear)
-        reach = (end - centre) * np.geomspace(NEAREST, 1.0, TRIED)
-        for value in (centre + reach).tolist():
-            theta, linear, misfit = _nearest_at(fitted, k, value)
+        kept, inside, outside = (fitted.theta, fitted.linear), centre, end
+        for value in (centre + (end - centre) * np.geomspace(NEAREST, 1.0, TRIED)).tolist():
+            *there, misfit = _nearest_at(fitted, k, value)
             if misfit > allowed:
+                outside = value
                 break
-            kept = (theta, linear)
+            kept, inside = (there[0], there[1]), value
+        for _ in range(BISECTIONS if inside != outside else 0):
+            middle = (inside + outside) / 2.0
+            *there, misfit = _nearest_at(fitted, k, middle)
+            if misfit > allowed:
+                outside = middle
+            else:
+                kept, inside = (there[0], there[1]), middle
         ends.append(kept)
-    return ends
+    return tuple(ends)
 
 
 def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, FloatArray, float]:

@@ -7,6 +7,7 @@
                  process and its response time T + D (for an underdamped one, the damping n of m s^2 + n s + 1)
     sign         in a closed loop, the gain has the same sign without the effects
     selection    its later half is fitted as well as the whole; the effects do not increase the error on it
+    readings     a sensor that repeats its readings has sent enough new ones
     answer       no load begins or ends where one of a few moves of the output arrives at the PV
 
 Invariants: all reasons follow from fit and selection part; each one is a sentence for the reader.
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE
+from autotuner.core.diagnosis.record.sensor import FEWEST_NEW, new_readings
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import NORMAL_95
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
     from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.diagnosis.record.sensor import Grid
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
@@ -96,6 +99,14 @@ def doubts_about_errors(selection: Misfit, later: Misfit) -> list[str]:
             f"the error grows to {ratio:.1f} times what noise leaves on the later half of the selection part"
         )
     return reasons
+
+
+def doubts_about_readings(grid: Grid | None, pv: FloatArray) -> list[str]:
+    """Return why the readings of a sensor that reports on change show no process: repeated ones lag like play."""
+    if grid is None or not grid.sends:
+        return []
+    count = int(np.count_nonzero(new_readings(pv)))
+    return [f"the sensor sent {count} new readings only: they leave the process open"] if count < FEWEST_NEW else []
 
 
 def doubts_about_moments(effects: Sequence[FoundEffect], dataset: Dataset, delay_s: float) -> list[str]:

@@ -112,7 +112,7 @@ class _Loop:
 def lasts_s(process: ProcessModel) -> float:
     """Return how long a predicted response has to be, s."""
     r = process.rational()
-    slowest = r.a[1] if r.a[0] != 0.0 else 5.0 * max(process.D, r.a[1])
+    slowest = r.a[1] if r.a[0] != 0.0 else 5.0 * max(process.D, r.a[2] / r.a[1])
     return LASTS * (slowest + process.D)
 
 

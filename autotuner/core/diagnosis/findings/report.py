@@ -18,6 +18,7 @@ from autotuner.core.diagnosis.findings.doubts import (
     doubts_about_errors,
     doubts_about_moments,
     doubts_about_process,
+    doubts_about_readings,
 )
 from autotuner.core.diagnosis.findings.errors_by_part import Errors
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL, Known, both_gains, calmer_note
@@ -104,7 +105,12 @@ def reported(
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
     covariance = process_covariance(context, found.chosen)
-    doubts = _doubts(context, found, effects, errors, error["selection"], covariance)
+    doubts = [
+        *_doubts(context, found, effects, errors, error["selection"], covariance),
+        *doubts_about_readings(
+            sensor.grid, context.dataset.data.pv[: int(np.flatnonzero(context.dataset.fitted)[-1]) + 1]
+        ),
+    ]
     verdict, cut = _outcome(context, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)

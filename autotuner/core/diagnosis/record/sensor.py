@@ -3,6 +3,7 @@
     spikes   d_k = e_k - median of e over a window;   |d_k| > 6 robust sigma, of another kind than the noise's own tail;
              it comes and goes in jumps that no motion of the process makes
     grid     all values are multiples of one step;  or the PV is constant and moves by no less than one step
+             (send on delta: what is sent is the PV itself, and what is repeated only says that it is near)
 
 `e` residual of the process alone. (Hampel 1974; Widrow and Kollar, Quantization Noise, 2008.)
 """
@@ -41,21 +42,33 @@ COARSE = 0.8
 """Noise of the grid over the other noise from which the grid is named."""
 STANDING = 0.5
 """Share of repeated values from which a sensor is taken to report changes only."""
+OWN_VALUES = 0.8
+"""Different values over changes of the reading from which a sensor sends what it measures: on a grid they repeat."""
+FEWEST_NEW, FEWEST_ELSEWHERE = 20, 6
+"""New readings of a sensor that repeats them from which a process is known by them: it has up to ten numbers. On the
+part that is not fitted, they judge only."""
 FROZEN = 8
 """Equal values in a row that are a frozen sensor, where hardly any value is repeated elsewhere."""
 VISIBLE, MOST_JUMPS = 6.0, 4
 """Excess of a jump over the robust deviation of all differences, and the most jumps that are tried."""
+NEIGHBOURS = 5
+"""Moves between samples whose median is the slope of the PV beside a jump."""
 FAR_BACK = 4.0
 """Jump at the end of a frozen run, in usual moves between two samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A coarse sensor: `step` between values, PV; `half` how far the PV may be from a reading."""
+    """A coarse sensor: `step` between values, PV; `half` how far the PV may be from a reading.
+
+    `sends` says that the sensor sends what it measures, and repeats it until the PV has moved by a step: a reading that
+    is new is the PV itself.
+    """
 
     step: float
     half: float
     rounded: bool
+    sends: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,12 +97,20 @@ def spikes_of(residual: FloatArray, sigma: float, motion: float = 0.0) -> BoolAr
     off = np.abs(residual - scipy.ndimage.median_filter(residual, size=WINDOW, mode="mirror"))
     spread = max(MAD_TO_SIGMA * float(np.median(off)), 0.3 * sigma)
     moves = np.diff(residual)
-    jump = max(BEYOND_MOVES * float(np.quantile(np.abs(moves), 0.9)), BEYOND * spread, BEYOND_MOTION * motion)
+    usual = float(np.quantile(np.abs(moves)[~_around_single(moves, BEYOND * spread)], 0.9))
+    jump = max(BEYOND_MOVES * usual, BEYOND * spread, BEYOND_MOTION * motion)
     result = _between_jumps(moves, jump) & (off > BEYOND * spread)
     few = 0 < np.count_nonzero(result) <= MOST_SPIKES * residual.size
     if not few or float(np.median(off[result])) < OTHER_KIND * spread:
         return np.zeros(residual.size, dtype=np.bool_)
     return result
+
+
+def _around_single(moves: FloatArray, least: float) -> BoolArray:
+    """Return the moves there and back at single samples: of one sample in eight, they are one in four of all moves."""
+    back = (moves[1:] * moves[:-1] < 0.0) & (np.minimum(np.abs(moves[1:]), np.abs(moves[:-1])) > least)
+    result: BoolArray = np.append(back, False) | np.append(False, back)
+    return result if not result.all() else ~result
 
 
 def _between_jumps(moves: FloatArray, jump: float) -> BoolArray:
@@ -159,13 +180,24 @@ def visible_jumps(t: FloatArray, pv: FloatArray, floor: float) -> list[tuple[flo
         return []
     d = np.diff(pv)
     odd = d[1:-1] - (d[:-2] + d[2:]) / 2.0
-    back = np.minimum(np.abs(d[1:-1] + d[:-2]), np.abs(d[1:-1] + d[2:])) < np.abs(d[1:-1]) / 2.0
+    back = comes_back(d)[1:-1]
     usual = max(MAD_TO_SIGMA * float(np.median(np.abs(odd))), floor)
     size = np.abs(odd)
     beside = np.maximum(np.append(size[1:], 0.0), np.append(0.0, size[:-1]))  # a jump is odd for its neighbours, too
     clear = np.flatnonzero((size > VISIBLE * usual) & (size >= beside) & ~back)
     clear = np.sort(clear[np.argsort(-np.abs(odd[clear]), kind="stable")[:MOST_JUMPS]])
     return [(float(t[k + 1] + t[k + 2]) / 2.0, float(odd[k])) for k in clear]
+
+
+def comes_back(moves: FloatArray) -> BoolArray:
+    """Return which moves of the PV between two samples are taken back at once: a wild reading, and no jump.
+
+    The slope of the PV is no part of them: it is the median of five moves, of which a wild reading makes two.
+    """
+    own = moves - scipy.ndimage.median_filter(moves, size=NEIGHBOURS, mode="nearest")
+    beside = np.concatenate((own[:1], own, own[-1:]))
+    result: BoolArray = np.minimum(np.abs(own + beside[:-2]), np.abs(own + beside[2:])) < COMES_BACK * np.abs(own)
+    return result
 
 
 def _is_a_limit(pv: FloatArray, start: int, end: int) -> bool:
@@ -194,4 +226,13 @@ def _on_change(pv: FloatArray) -> Grid | None:
     if not moved.size or np.mean(moves == 0.0) < STANDING:
         return None
     step = float(np.quantile(moved, 0.03))
-    return Grid(step, step, rounded=False) if step > 0.2 * float(np.median(moved)) else None
+    if step <= 0.2 * float(np.median(moved)):
+        return None
+    sends = np.unique(pv).size > max(OWN_VALUES * moved.size, 2.0)
+    return Grid(step, step, rounded=False, sends=sends)
+
+
+def new_readings(pv: FloatArray) -> BoolArray:
+    """Return the samples at which a reading is not that of the sample before."""
+    result: BoolArray = np.append(True, np.diff(pv) != 0.0)
+    return result

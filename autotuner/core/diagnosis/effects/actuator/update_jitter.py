@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
@@ -45,6 +46,8 @@ UNIFORM = math.sqrt(3.0)
 """Half the width of a uniform distribution, in its standard deviations."""
 TINY = 1e-12
 """Least variance of the latenesses, in squares of the sample interval: no slope divides by nought."""
+ROUNDS = 4
+"""Gauss-Newton steps for the delays: the answer of a lag has a corner, which the first step takes for a slope."""
 RIDGE = 1e-3
 """Relative regularisation of the moments' normal equations (Levenberg, 1944): moves without an answer stay in place."""
 
@@ -218,14 +221,25 @@ def _latenesses(
     problem = base.problem
     view = problem.view(base.theta, rows)
     when = view.t - view.delay_s
-    gain = float(base.linear[0])
-    columns = []
-    for moment, step in zip(moments.tolist(), steps.tolist(), strict=True):
-        one = HeldInput(np.array([0.0, moment]), np.array([0.0, step]))
-        columns.append(np.where(when > moment, -gain * view.motion.forced(one, when)[1][0], 0.0))
-    J = np.column_stack(columns)
+    sizes = float(base.linear[0]) * steps
+
+    def answers(late: FloatArray) -> tuple[FloatArray, FloatArray]:
+        since = when[:, None] - (moments + late)
+        answer, slope = (values[0] for values in view.motion.forced(unit_step(0.0), np.maximum(since, 0.0)))
+        return np.where(since > 0.0, sizes * answer, 0.0), np.where(since > 0.0, -sizes * slope, 0.0)
+
+    late = np.zeros(moments.size)
+    longest = float(np.median(np.diff(moments))) / 2.0
     residual = problem.dataset.data.pv[rows] - base.simulated(rows)
-    normal = J.T @ J
-    normal[np.diag_indices_from(normal)] *= 1.0 + RIDGE
-    normal[np.diag_indices_from(normal)] += SMALLEST_DIVISOR
-    return np.linalg.solve(normal, J.T @ residual), np.diag(normal) / np.diag(normal).max()
+    in_time, _ = answers(late)
+    # Gain and offset of the free model have taken up some of the delays: they are solved for beside them.
+    q, _ = solve_linear(problem.columns(base.theta, rows)[0], residual)
+    for _ in range(ROUNDS):
+        answer, J = answers(late)
+        J = J - q @ (q.T @ J)
+        normal = J.T @ J
+        normal[np.diag_indices_from(normal)] *= 1.0 + RIDGE
+        normal[np.diag_indices_from(normal)] += SMALLEST_DIVISOR
+        left = residual - (answer - in_time).sum(axis=1)
+        late = np.clip(late + np.linalg.solve(normal, J.T @ left), -longest, longest)
+    return late, np.diag(normal) / np.diag(normal).max()
