@@ -105,12 +105,7 @@ def reported(
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
     covariance = process_covariance(context, found.chosen)
-    doubts = [
-        *_doubts(context, found, effects, errors, error["selection"], covariance),
-        *doubts_about_readings(
-            sensor.grid, context.dataset.data.pv[: int(np.flatnonzero(context.dataset.fitted)[-1]) + 1]
-        ),
-    ]
+    doubts = _doubts(context, found, effects, errors, error["selection"], covariance, sensor)
     verdict, cut = _outcome(context, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
@@ -181,15 +176,18 @@ def _doubts(
     errors: Errors,
     selection: Misfit,
     covariance: FloatArray | None,
+    sensor: SensorRecord,
 ) -> list[str]:
     """Return why the effects are hypotheses only."""
     chosen = found.chosen
+    until = int(np.flatnonzero(context.dataset.fitted)[-1]) + 1
     _, delay_s, _ = chosen.problem.split(chosen.theta)
     return [
         *doubts_about(effects, in_loop=context.dataset.in_loop),
         *doubts_about_moments(effects, context.dataset, delay_s),
         *doubts_about_process(found.alone.process(), chosen.process(), covariance, in_loop=context.dataset.in_loop),
         *doubts_about_errors(selection, errors.of_the_later_selection()),
+        *doubts_about_readings(sensor.grid, context.dataset.data.pv[:until]),
     ]
 
 
