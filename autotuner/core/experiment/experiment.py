@@ -204,6 +204,7 @@ class Experiment:
             self.segments[step.segment] = sample.t
         if isinstance(stage, Oscillation):
             self._relay_seen = stage.settings_so_far()
+            self._drifted = self._drifted or stage.drifted
         self.warnings += [step.warning] if step.warning else []
         if step.verdict is not None:
             self.stop(step.verdict)

@@ -92,14 +92,17 @@ class Rest:
             return Step(self._output)
         t, pv = np.array(self._samples).T
         quiet = measure_quiet(t, pv)
-        if not quiet.drifts:
+        if not quiet.drifts and (self._follows or self._is_straight(quiet, sample.t)):
             return self._go_on(sample, quiet)
         if self._settings.online is not None:  # the controller moves the output against the drift: no line to follow
             return Step(self._output, verdict=refusals.drifting(quiet, self._settings))
         return self._with_drift(t, pv, quiet, sample)
 
     def _with_drift(self, t: FloatArray, pv: FloatArray, quiet: QuietMeasurement, sample: Sample) -> Step:
-        """Follow a drift that is a line; wait for one that bends, and work against one that does not come to rest."""
+        """Follow a drift that is a line; wait for one that bends, and work against one that does not come to rest.
+
+        After a relay the PV bends back, which over few samples resembles noise.
+        """
         line = line_of(t, pv)
         if line is not None and self._is_straight(quiet, sample.t):
             return self._along(line, quiet, sample) if self._follows else self._against(t, pv, quiet, sample)
