@@ -118,9 +118,14 @@ def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_mo
     assert any("extended model" in warning for warning in analysis.warnings)
     interval = analysis.identification.estimates["diagnosis"].interval95
     assert all(low < high for low, high in interval.values())
-    assert one.tuning.analysis.gains.gains.Kp > 0.0
+    assert f"K {analysis.identification.model.K:.4g}" in verdict.message
+    assert analysis.gains.gains.Kp > 0.0
+    told = analysis.diagnosis.gains["after"]
+    assert told["goal"] == analysis.gains.goal == "balanced"
+    assert told["gains"] == analysis.gains.gains.to_dict()  # one design, so one set of numbers
 
 
+@pytest.mark.long  # the worn valve of the documents (tests/house), and the test above, show the same
 def test_a_model_that_misses_the_check_gives_way_to_the_process_beside_a_named_effect(rig, virtual):
     """Play of 2 in the actuator, declared by nobody: the relay alone shows three times the gain and the lag."""
     one = rig(spec=DesignSpec(), device={"effects": [{"effect": "backlash", "width": 2.0}]})

@@ -41,7 +41,10 @@ def sample(t, output=40.0, set_point=math.nan, written_s=math.nan):
 
 @pytest.fixture
 def journal(tmp_path):
-    return Journal(tmp_path / "data", in_place=True)
+    journal = Journal(tmp_path / "data", in_place=True)
+    yield journal
+    while journal.store._users > 0:  # leases that their test leaves open
+        journal.store.close()
 
 
 @pytest.fixture

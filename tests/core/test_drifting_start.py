@@ -62,7 +62,7 @@ def oscillation(plant):
 @pytest.mark.parametrize(
     "plant", [Fopdt(2.0, 10.0, D) for D in (1.0, 10.0, 50.0)] + [SopdtOverdamped(2.0, 10.0, 5.0, 3.0)]
 )
-@pytest.mark.parametrize("drift", [-1.0, 0.2, 1.0])
+@pytest.mark.parametrize("drift", [pytest.param(-1.0, marks=pytest.mark.long), 0.2, 1.0])
 def test_a_drift_is_followed_and_does_not_touch_the_process(plant, drift):
     """`drift` in amplitudes a period, with default settings."""
     Pu, A = oscillation(plant)
@@ -111,11 +111,11 @@ def test_a_small_drift_is_followed_without_the_setting():
     for drift_per_s, sigma in ((0.1 * A / Pu, 0.01 * A), (0.001 / 60.0, 0.0)):
         experiment, recording = conduct(plant, settings, offsets=[Drift(drift_per_s)], sigma=sigma)
         assert experiment.verdict is None
-        model = analyse(recording).identification.model
+        model = identified(recording).identification.model
         assert pytest.approx((2.0, 10.0, 1.0), rel=0.05) == (model.K, model.T, model.D)
 
 
-@pytest.mark.parametrize("load", [-2.0, 3.0])
+@pytest.mark.parametrize("load", [-2.0, pytest.param(3.0, marks=pytest.mark.long)])
 def test_an_integrator_that_drifts_at_rest_is_tuned_about_a_fixed_value(load):
     """An unknown load of a fifth and more of the relay: the PV never rests, and a line runs away from its start."""
     plant = Integrating(0.2, 4.0, 0.8)

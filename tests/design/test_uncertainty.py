@@ -25,7 +25,7 @@ def independent(model, share):
 
 
 @pytest.mark.parametrize("model", MODELS, ids=str)
-@pytest.mark.parametrize("share", [0.03, 0.1])
+@pytest.mark.parametrize("share", [pytest.param(0.03, marks=pytest.mark.long), 0.1])
 def test_the_true_loop_seldom_exceeds_the_limit(model, share):
     covariance = independent(model, share)
     gains = design(model, Requirements(), covariance).gains

@@ -48,6 +48,7 @@ def test_a_curve_is_found_beside_a_jump_that_hides_it():
     assert pytest.approx(2.0, rel=0.02) == found.process.K
 
 
+@pytest.mark.long  # a record without segments shows the same
 def test_a_jump_there_and_back_is_found_with_its_duration():
     there_and_back = [BiasStep(AT_S, 0.8), BiasStep(AT_S + 40.0, -0.8)]
     found = diagnose(record_of(sigma=0.02, offsets=there_and_back))

@@ -120,6 +120,7 @@ def loop(shared, name):
     return Recording(columns["t_s"], columns.get("op_pct", columns.get("op")), columns["pv"])
 
 
+@pytest.mark.long  # a valve of the independent generator that sticks in a PI loop shows the same
 @pytest.mark.parametrize("name", ["isdb_CHEM10.csv"])
 def test_a_real_loop_whose_valve_sticks(shared, name):
     assert {"stiction", "backlash"} & {effect.name for effect in diagnose(loop(shared, name)).effects}

@@ -70,7 +70,7 @@ class Updated:
         return self.at
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.long)])
 def test_an_actuator_that_is_updated_at_uneven_times_is_named(seed):
     rng = np.random.default_rng(seed)
     output = levels(rng, 700, 15, 45)

@@ -112,7 +112,9 @@ def test_of_plateaus_as_high_the_widest_is_first_and_taken_in_its_middle():
         assert [step for step, _ in found] == [steps[720], steps[202], steps[1199]]
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.05], ids=["without noise", "with noise"])
+@pytest.mark.parametrize(
+    "sigma", [pytest.param(0.0, marks=pytest.mark.long, id="without noise"), pytest.param(0.05, id="with noise")]
+)
 def test_the_answer_is_that_of_the_record_whose_last_digits_differ(sigma):
     record = tuning_record(PLANTS["balanced"], sigma=sigma, seed=1, actuators=[OutputQuantisation(1.7)])
     moved = rounded(record.pv, np.random.default_rng(2))
@@ -122,9 +124,9 @@ def test_the_answer_is_that_of_the_record_whose_last_digits_differ(sigma):
         assert mine.parameters == pytest.approx(theirs.parameters, rel=1e-3)
 
 
-def test_growth_by_itself_is_no_answer_whatever_its_last_digits():
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))])
+def test_growth_by_itself_is_no_answer_whatever_its_last_digits(seed):
     """The record is the background's alone but for a thousand roundings of a sample."""
     t = np.arange(400.0)
-    for seed in range(4):
-        pv = np.exp(0.03 * t) * (1.0 + 1e-13 * np.random.default_rng(seed).uniform(-1.0, 1.0, t.size))
-        assert identify(Recording(t, (t >= 100.0).astype(float), pv)).verdict.code == "no_answer"
+    pv = np.exp(0.03 * t) * (1.0 + 1e-13 * np.random.default_rng(seed).uniform(-1.0, 1.0, t.size))
+    assert identify(Recording(t, (t >= 100.0).astype(float), pv)).verdict.code == "no_answer"

@@ -1,5 +1,6 @@
 """The verdict against the errors that stand beside it, and what a record is blind to."""
 
+import functools
 import itertools
 
 import numpy as np
@@ -58,6 +59,12 @@ def steps(sigma=0.02, levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0)):
     return Recording(np.arange(float(output.size)), 40.0 + output, 80.0 + pv + noise)
 
 
+@functools.cache
+def diagnosed(play=None):
+    """Return the diagnosis of a tuning's record, with such a play of the actuator."""
+    return diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[Backlash(play)] if play else ()))
+
+
 def spots(found):
     return " ".join(note for note in found.notes if "blind" in note)
 
@@ -85,13 +92,13 @@ def test_every_record_says_how_far_it_reached():
 
 
 def test_a_staircase_shows_much_smaller_friction_than_steps_do():
-    found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05))
+    found = diagnosed()
     assert found.verdict == "adequate"
     assert "play up to" not in found.summary
 
 
 def test_friction_that_was_found_is_no_blind_spot():
-    found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[Backlash(2.0)]))
+    found = diagnosed(play=2.0)
     assert [effect.name for effect in found.effects] == ["backlash"]
     assert "play" not in spots(found)
 
@@ -108,14 +115,14 @@ def test_a_limit_that_shows_at_the_end_only_is_never_called_adequate():
 
 def test_gains_are_shown_on_the_loop_with_the_effect():
     """Both gains meet the play that was found; a clean record has one set of gains and nothing to foresee."""
-    gains = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[Backlash(2.0)])).gains
+    gains = diagnosed(play=2.0).gains
     for when in ("before", "after"):
         assert gains[when]["with_effects"]["effects"] == ["backlash"]
         assert np.isfinite(gains[when]["with_effects"]["settling_time_s"])
         assert gains[when]["goal"] == "balanced"
     assert gains["calmer"]["goal"] == "calm"
     assert gains["calmer"]["with_effects"]["cost"] < gains["after"]["with_effects"]["cost"]
-    clean = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05)).gains
+    clean = diagnosed().gains
     assert clean["before"] == clean["after"]
     assert "with_effects" not in clean["after"]
 

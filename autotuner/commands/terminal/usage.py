@@ -144,17 +144,20 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise `InputError` for a message of argparse."""
+        raise self._refused(message)
+
+    def _refused(self, message: str, argument: str | None = None) -> InputError:
         missing = message.removeprefix(REQUIRED)
-        if missing != message:
-            raise InputError("is missing", field=missing, remedy=self._see_help())
-        raise InputError(message, remedy=self._see_help())
+        if missing != message:  # from Python 3.12.7 on an error of argparse, before a call of `error`
+            return InputError("is missing", field=missing, remedy=self._see_help())
+        return InputError(message, field=argument, remedy=self._see_help())
 
     def refusal(self, error: argparse.ArgumentError) -> InputError:
         """Return the `InputError` for an error of argparse."""
         cause = error.__context__
         if isinstance(cause, UnusableValueError):
             return InputError(cause.message, field=error.argument_name, value=cause.value, remedy=cause.remedy)
-        return InputError(error.message, field=error.argument_name, remedy=self._see_help())
+        return self._refused(error.message, error.argument_name)
 
     def unknown(self, word: str) -> InputError:
         """Return the refusal of an argument that is neither an option nor a positional argument here."""
