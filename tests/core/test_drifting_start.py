@@ -32,7 +32,7 @@ from autotuner_sim.effects import Drift
 AMPLITUDE, OUTPUT0, PV0 = 10.0, 40.0, 80.0
 
 
-def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000):
+def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000, *, integrates=False):
     """Run an experiment as the runtime does, the running model included; return it with its recording."""
     sensors = [Noise(sigma, seed=3)] if sigma else []
     loop = SteppedPlant(plant, output0=OUTPUT0, pv0=PV0, loads=loads, offsets=offsets, sensors=sensors)
@@ -49,7 +49,8 @@ def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000):
         if command.estimate is not None and command.estimate.half_period >= 2:
             seen = experiment.settings_so_far()
             model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
-            experiment.inform(np.inf if model is None else model.relative_error)
+            error = np.inf if model is None else model.relative_error
+            experiment.inform(error, integrates=integrates)
     raise AssertionError("the experiment did not end")
 
 
@@ -121,8 +122,9 @@ def test_an_integrator_that_drifts_at_rest_is_tuned_about_a_fixed_value(load):
     plant = Integrating(0.2, 4.0, 0.8)
     Pu, A = oscillation(plant)
     settings = ExperimentSettings(sample_time_s=Pu / 80.0, amplitude=AMPLITUDE)
-    experiment, recording = conduct(plant, settings, loads=[LoadStep(0.0, load)], sigma=0.005 * A)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(0.0, load)], sigma=0.005 * A, integrates=True)
     assert experiment.verdict is None
+    assert "return" not in recording.segments  # the impulse of the output balanced the load
     assert any("fixed value" in warning for warning in experiment.warnings)
     assert "drift_per_s" not in recording.settings
     model = identified(recording).identification.model

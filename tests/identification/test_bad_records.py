@@ -36,6 +36,16 @@ def test_a_saturated_sensor(clean):
     assert any("were left out" in warning for warning in found.warnings)
 
 
+@pytest.mark.parametrize("step", [0.4, 0.8])
+def test_a_coarse_pv_that_settles_under_each_level_is_not_saturated(record_relay, step):
+    """A dead time of five lags: the PV rests at both ends of the oscillation, in one digit of the sensor."""
+    record = record_relay(Fopdt(2.0, 1.0, 5.0), 0.05, sigma=SIGMA, seed=1, hysteresis=3.0 * SIGMA, low=-1.0, high=2.0)
+    coarse = np.round(record.pv / step) * step
+    found = identify(Recording(record.t, record.output, coarse), "fopdt")
+    assert found.model.K == pytest.approx(2.0, abs=step)
+    assert not any("saturated" in warning for warning in found.warnings)
+
+
 def test_a_sensor_that_freezes(clean):
     half = clean.pv.size // 2
     found = spoilt(clean, np.where(np.arange(clean.pv.size) < half, clean.pv, clean.pv[half]))
