@@ -42,7 +42,7 @@ def test_a_coarse_pv_that_settles_under_each_level_is_not_saturated(record_relay
     record = record_relay(Fopdt(2.0, 1.0, 5.0), 0.05, sigma=SIGMA, seed=1, hysteresis=3.0 * SIGMA, low=-1.0, high=2.0)
     coarse = np.round(record.pv / step) * step
     found = identify(Recording(record.t, record.output, coarse), "fopdt")
-    assert found.model.K == pytest.approx(2.0, abs=step)
+    assert pytest.approx(2.0, abs=step) == found.model.K
     assert not any("saturated" in warning for warning in found.warnings)
 
 
