@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -310,6 +311,18 @@ def test_an_unmeasured_noise_with_memory_has_its_innovations(a):
 )
 def test_a_residual_that_a_process_leaves_is_no_noise(residual):
     assert coloured_noise(*with_residual(residual)) is None
+
+
+def test_a_load_of_many_small_ones_is_noise_and_a_switched_one_is_not():
+    """Both have passed a lag of 30 s, as long as the process's own: only of the first are the innovations normal."""
+    random = np.random.default_rng(11)
+    normal, switched = random.standard_normal(600), 3.0 * (random.random(600) < 0.03) * random.choice([-1.0, 1.0], 600)
+    found = []
+    for innovations in (normal, switched):
+        load = scipy.signal.lfilter([1.0], [1.0, -math.exp(-1.0 / 30.0)], innovations)
+        found.append(coloured_noise(*with_residual(0.15 * load / float(np.std(load)))))
+    assert found[0].noise == pytest.approx(0.15, rel=0.3)
+    assert found[1] is None
 
 
 @pytest.mark.parametrize("share", [0.0, 0.04])

@@ -321,7 +321,9 @@ def summary(rows: list[Row]) -> list[str]:
         part = [r for r in rows if r["name"] == "clean" and r["noise"] == noise]
         if part:
             verdicts = dict(Counter(r["verdict"] for r in part))
-            lines.append(f"nothing hidden, {noise} noise: {len(part)}: {verdicts}")
+            own = sum(r["plant"] == "third" and r["names"] == ["extra_lag"] for r in part)
+            words = f", of which {own} with the plant's own third lag as extra_lag" if own else ""
+            lines.append(f"nothing hidden, {noise} noise: {len(part)}: {verdicts}{words}")
     return lines
 
 

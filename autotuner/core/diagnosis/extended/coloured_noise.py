@@ -3,9 +3,10 @@
     e_k = a_1 e_{k-1} + ... + a_p e_{k-p} + w_k,   w the innovations
 
 A residual is such noise where (1) its innovations are white, (2) past outputs explain nothing of them, (3) they are
-as large on the selection part as on the fitted one, and in every fifth of the fitted part, (4) the memory fades within
-half of the process's own lags, and (5) the noise is a small share of the PV's motion. A slow or uneven residual is
-none, and stays unexplained. (Ljung, System Identification, 1999, ch. 16.6: residual analysis.)
+as large on the selection part as on the fitted one, and in every fifth of the fitted part, (4) the memory fades
+within half of the process's own lags, or within one and a half where the innovations are normal, and (5) the noise is
+a small share of the PV's motion. A slow or uneven residual is none, and stays unexplained. (Ljung, System
+Identification, 1999, ch. 16.6: residual analysis.)
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ MOST_OF_THE_MOTION = 0.15
 """Share of the PV's standard deviation that noise may have."""
 UNEVEN = 1.6
 """Innovations in one fifth of the record, or on the selection part, over all of them."""
-FADES = 0.5
-"""Time constant of the memory over the process's own."""
+FADES, FADES_WITH_PROCESS = 0.5, 1.5
+"""Time constant of the memory over the process's own: of any noise, and of the sum of many small disturbances, which is
+normal and has passed the process. That has the process's own memory, known to about half."""
 BLOCKS, PAST = 5, 12
 
 
@@ -58,10 +60,14 @@ def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None
         return None
     t, ones = dataset.data.t[rows], np.ones(rows.size)
     memory = memory_of(residual, np.zeros((rows.size, 0)), even_runs(t, ones))
-    if not memory.order or not _fades(memory.predictors[-1], candidate, dataset.data.interval_s):
+    if not memory.order:
         return None
     white = Coloured.of(memory, t, ones).whitened(residual)
-    if not _is_white(white) or _follows_output(context, rows, white):
+    if (
+        not _fades(memory.predictors[-1], candidate, dataset.data.interval_s, white)
+        or not _is_white(white)
+        or _follows_output(context, rows, white)
+    ):
         return None
     size = rms(white)
     blocks = [rms(block) for block in np.array_split(white, BLOCKS)]
@@ -73,14 +79,18 @@ def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None
     return Innovations(noise, size, late)
 
 
-def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float) -> bool:
-    """Return whether the memory is shorter than the process's own."""
+def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float, innovations: FloatArray) -> bool:
+    """Return whether the memory is shorter than the process's own, or about as long for normal innovations."""
     poles = np.abs(np.roots(np.concatenate(([1.0], -predictor))))
     longest = float(poles.max())
     if not 0.0 < longest < 1.0:
         return longest == 0.0
     lags = np.exp(candidate.theta[: len(candidate.problem.structure.shape)])
-    return -interval_s / math.log(longest) < FADES * (float(lags.max(initial=0.0)) or candidate.problem.dataset.span_s)
+    own_s = float(lags.max(initial=0.0))
+    lasts_s = -interval_s / math.log(longest)
+    if lasts_s < FADES * (own_s or candidate.problem.dataset.span_s):
+        return True
+    return lasts_s < FADES_WITH_PROCESS * own_s and bool(scipy.stats.jarque_bera(innovations).pvalue > SURE)
 
 
 def _is_white(values: FloatArray) -> bool:
