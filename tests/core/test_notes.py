@@ -32,3 +32,17 @@ def test_a_miss_that_is_small_beside_the_motion_of_the_pv_is_a_note(motion, is_a
     assert missed is not None
     assert isinstance(missed, Note) is is_a_note
     assert HeldOut(0.01, 0.01, 0.01, motion).warning is None
+
+
+@pytest.mark.parametrize(
+    ("fitted", "held_out", "is_small"),
+    [(0.014, 0.014, True), (0.016, 0.014, False), (0.014, 0.016, False), (0.3, 0.01, False)],
+)
+def test_misses_of_both_parts_within_half_again_of_the_noise_are_small(fitted, held_out, is_small):
+    """Noise of 0.01 and a motion of 0.1, of which 5 % are less than what 0.014 is beyond the noise."""
+    assert HeldOut(fitted, held_out, 0.01, 0.1).is_small_throughout is is_small
+
+
+def test_a_miss_of_little_motion_is_small_whatever_the_noise():
+    assert HeldOut(0.049, 0.049, 0.001, 1.0).is_small_throughout
+    assert not HeldOut(0.051, 0.049, 0.001, 1.0).is_small_throughout

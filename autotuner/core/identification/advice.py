@@ -28,6 +28,8 @@ NOTHING = 1e-60
 """Swing that counts as none: squares of smaller numbers vanish."""
 VAGUE = 0.10
 """Relative half width of a 95 % interval beyond which a parameter counts as poorly known."""
+RESTS_THERE = 0.02
+"""Share of the motion left unexplained up to which a PV that rests at its extreme is no saturated sensor."""
 MATTERS, SMALL = 2.0, 0.01
 """Standard errors, and relative change, by which a parameter has to hang on the moments of the changes to be named."""
 COLOURED = 2.0
@@ -295,7 +297,7 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
 def _stuck(stuck: Stuck | None, best: Candidate, recording: Recording, step: float) -> list[str]:
     if stuck is None:
         return []
-    explained = best.white or unexplained_share(best, recording, step) <= SMALL_MISFIT
+    explained = best.white or unexplained_share(best, recording, step) <= RESTS_THERE
     if explained and best.counts[stuck.rows].all():
         return []  # explained with these samples: the process rests there
     left_out = bool((~best.counts & stuck.rows).any())

@@ -68,9 +68,9 @@ class HeldOut:
     @property
     def is_small_throughout(self) -> bool:
         """Whether it is so on both parts, or no more than noise."""
-        most = SMALL_MISFIT * self.motion
-        fitted = math.sqrt(max(self.fitted**2 - self.noise_sigma**2, 0.0))
-        return fitted <= most and (self.warning is None or self.is_small)
+        missed = math.sqrt(max(self.fitted**2 - self.noise_sigma**2, 0.0))
+        fits = missed <= SMALL_MISFIT * self.motion or self.fitted <= SUSPICIOUS * self.noise_sigma
+        return fits and (self.warning is None or self.is_small)
 
     @property
     def warning(self) -> Note | Doubt | None:
