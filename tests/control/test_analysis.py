@@ -125,7 +125,7 @@ def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_mo
     assert told["gains"] == analysis.gains.gains.to_dict()  # one design, so one set of numbers
 
 
-@pytest.mark.long  # the worn valve of the documents (tests/house), and the test above, show the same
+@pytest.mark.long  # the worn valve of the examples (tests/reports), and the test above, show the same
 def test_a_model_that_misses_the_check_gives_way_to_the_process_beside_a_named_effect(rig, virtual):
     """Play of 2 in the actuator, declared by nobody: the relay alone shows three times the gain and the lag."""
     one = rig(spec=DesignSpec(), device={"effects": [{"effect": "backlash", "width": 2.0}]})

@@ -43,6 +43,7 @@ def test_that_of_a_free_valve_does_not(wander):
     assert not seen(flow_loop(band=0.0, wander=wander)).sticks
 
 
+@pytest.mark.long  # a valve of the independent generator in a PI loop is named too, see test_closed_loops
 def test_it_is_named():
     assert SLIPS & {effect.name for effect in diagnose(flow_loop(band=1.0)).effects}
 

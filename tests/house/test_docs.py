@@ -1,7 +1,6 @@
 """The documentation says what the code does: keys, phases, commands and links are compared, not believed."""
 
 import importlib
-import json
 import re
 import shlex
 import sys
@@ -173,17 +172,6 @@ def test_the_readme_closes_its_first_walk_as_the_program_does(text, capsys):
     assert main(["tune"]) == 0
     closing = capsys.readouterr().out.strip().rpartition("\n\n")[2]
     assert f"```text\n{closing}\n```" in text("README.md")
-
-
-def test_the_worn_valve_of_the_page_is_found_out(root, text, capsys):
-    assert main(["tune", "--config", str(root / "examples" / "worn_valve.toml"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    (effect,) = told["diagnosis"]["effects"]
-    assert effect["name"] == "backlash"
-    warning = next(line for line in told["warnings"] if "dead-band" in line)
-    assert " ".join(warning.split()) in " ".join(text("docs/how-to/read-a-diagnosis.md").split())
-    assert told["model"] == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.02)
-    assert told["estimates"]["least_squares"]["model"]["K"] == pytest.approx(6.0, rel=0.05)
 
 
 async def test_the_driver_in_the_page_is_one(text):

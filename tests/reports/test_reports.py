@@ -1,6 +1,9 @@
 """Reports: one file that loads and runs nothing, holds the numbers it was given, and says what was not checked."""
 
+import contextlib
 import hashlib
+import io
+import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -84,11 +87,31 @@ def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
     assert "done: fopdt" in capsys.readouterr().out
 
 
-def test_settings_and_margins_of_a_report_are_written_for_people(tmp_path, pytestconfig):
-    file = tmp_path / "report.html"
-    valve = pytestconfig.rootpath / "examples" / "worn_valve.toml"
-    assert main(["tune", "--config", str(valve), "--report", str(file)]) == 0
-    read = Reader(file.read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def worn_valve(tmp_path_factory, pytestconfig):
+    """The result and the report of the example with play in its actuator."""
+    folder = tmp_path_factory.mktemp("worn_valve")
+    example = pytestconfig.rootpath / "examples" / "worn_valve.toml"
+    out, file = io.StringIO(), folder / "report.html"
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        assert main(["tune", "--config", str(example), "--json", "--report", str(file)]) == 0
+    return json.loads(out.getvalue()), file.read_text(encoding="utf-8")
+
+
+def test_the_worn_valve_of_the_page_is_found_out(worn_valve, pytestconfig):
+    told, _ = worn_valve
+    (effect,) = told["diagnosis"]["effects"]
+    assert effect["name"] == "backlash"
+    warning = next(line for line in told["warnings"] if "dead-band" in line)
+    page = pytestconfig.rootpath / "docs" / "how-to" / "read-a-diagnosis.md"
+    assert " ".join(warning.split()) in " ".join(page.read_text(encoding="utf-8").split())
+    assert told["model"] == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.02)
+    assert told["estimates"]["least_squares"]["model"]["K"] == pytest.approx(6.0, rel=0.05)
+
+
+def test_settings_and_margins_of_a_report_are_written_for_people(worn_valve):
+    read = Reader(worn_valve[1])
     words = "|".join(read.words)
     assert "time limit s|86400|" in words
     assert "|pv|none|" in words
