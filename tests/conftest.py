@@ -44,6 +44,8 @@ SIGNALS = sorted(
 """Not SIGINT: where it was ignored, as in the background of a script, asyncio leaves Python's own handler."""
 THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
 """How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
+FROZEN = gc.get_freeze_count()
+"""Objects that the interpreter itself has put aside: Python 3.12 does at its start."""
 GRACE_S = 2.0
 """Longest wait for a thread or a worker process that is already on its way out, s."""
 
@@ -187,7 +189,7 @@ def _state():
         "level of the log": root.level,
         "handlers of the log": [handler for handler in root.handlers if not _of_pytest(handler)],
         "folder": _folder(),
-        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count() > 0),
+        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count() > FROZEN),
         "switch interval": sys.getswitchinterval(),
         "module search path": tuple(sys.path),
         "umask": _umask(),
