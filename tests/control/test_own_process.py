@@ -18,7 +18,7 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
 ]
 
-BY_RULE = {"structure": "fopdt", "rule": "simc_pi"}
+BY_RULE = {"rule": "simc_pi"}
 """A tuning whose gains, which are no matter here, are of a formula."""
 
 

@@ -143,7 +143,7 @@ REGISTERS = """{ pv = { table = "input", address = 0, type = "int16", scale = 0.
 output = { table = "holding", address = 0, type = "int16", scale = 0.1 }, auto = { table = "coil", address = 0 } }"""
 
 
-BY_RULE = {"structure": "fopdt", "rule": "simc_pi"}
+BY_RULE = {"rule": "simc_pi"}
 """A tuning whose gains, which are no matter here, are of a formula."""
 
 
