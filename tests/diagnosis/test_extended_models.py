@@ -213,6 +213,21 @@ def test_intervals_cover_the_simulators_sizes_as_often_as_they_say():
     assert sum(missed.values()) >= 1  # of 120
 
 
+def test_intervals_of_the_gain_hold_beside_a_slow_part_that_hides_in_the_noise():
+    """A tenth of the noise's variance with a memory of 50 samples: of 40 intervals at most 6 may miss, as above."""
+    alone = record(PAIR, moves(600, hold=40))
+    missed = 0
+    for seed in range(40):
+        recording = noisy(alone, 0.1, seed)
+        slow = autoregressive(0.03, 0.98, recording.pv.size, seed + 100)
+        truth = at_the_truth(Recording(recording.t, recording.output, recording.pv + slow), PAIR)
+        context = bench_of(truth.problem.dataset)
+        found = fit(replace(truth.problem, rows=context.fine), truth.theta, 6)
+        half = 1.96 * math.sqrt(process_covariance(context, found)[0, 0])
+        missed += abs(found.process().K - PAIR.K) > half
+    assert missed <= 6
+
+
 def test_a_blurred_size_is_wider_by_its_blur():
     recording = noisy(record(LAG, moves(), actuators=[OutputQuantisation(3.0)]), 0.05)
     effect = quantisation(dataset_of(recording), "from the rest", [])

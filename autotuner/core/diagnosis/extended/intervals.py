@@ -4,6 +4,10 @@
     W     12/width^2 for searched values within bounds of that width: a move merged with another one shows no time
     s^2   the larger mean square of the fitted and of the held-out part
     var f = (df)' cov (df)                                               (delta method)
+    cov   at least (J'J)^-1 (sum_k w_k sum_t g_t g_{t+k}') (J'J)^-1,   g_t = J_t e_t,   w_k = 1 - |k|/(L + 1)
+          per number: a small slow part of the residual `e`, which a model of lower order leaves, hides in the noise of
+          its autocorrelation but not in that of the scores `g` (Newey and West, Econometrica 55, 1987); `L` is the
+          process's own memory
 
 A size in which the simulation is a staircase (the band of a sticking valve), or strongly nonlinear, has a profile
 interval instead: all values at which the misfit, all else refitted, rises by less than chi^2(0.95) = 3.84 allows.
@@ -26,6 +30,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import sizes_at
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import CHI2_95, NORMAL_95
 from autotuner.errors import InputError
 
@@ -40,6 +45,8 @@ ROUGH = 1e-3
 """Step of the difference from which a number counts as a staircase."""
 MOST_MORE = 4.0
 """Largest weight of the mean square of the held-out part, relative to the fitted part."""
+MOST_CORRELATED = 0.1
+"""Longest lag of correlated scores, as a share of the samples: a longer one leaves too few products."""
 TRIED, NEAREST = 50, 1e-4
 BISECTIONS = 6
 """Halvings of the last step of a profile: its end is found to a 64th of it, 0.3 % of the distance from the centre."""
@@ -71,8 +78,29 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
     )
     within = 12.0 * variance / (widths[at] * scale[live]) ** 2
     inverse = np.linalg.pinv(normal + np.diag(RIDGE + within), hermitian=True)
-    cov[np.ix_(at, at)] = variance * inverse / np.outer(scale[live], scale[live])
+    stretch = _stretch(J[:, live] / scale[live] * residual[:, None], inverse, variance, _memory(fitted))
+    cov[np.ix_(at, at)] = variance * inverse * np.outer(stretch, stretch) / np.outer(scale[live], scale[live])
     return cov
+
+
+def _stretch(scores: FloatArray, inverse: FloatArray, variance: float, lags: int) -> FloatArray:
+    """Return by how much the standard errors from correlated scores exceed those from the residual, at least 1."""
+    middle = scores.T @ scores
+    for k in range(1, lags + 1):
+        across = scores[k:].T @ scores[:-k]
+        middle += (1.0 - k / (lags + 1.0)) * (across + across.T)
+    robust = np.einsum("ij,jk,ki->i", inverse, middle, inverse)
+    plain = variance * np.maximum(np.diag(inverse), SMALLEST_DIVISOR)
+    stretched: FloatArray = np.sqrt(np.maximum(robust / plain, 1.0))
+    return stretched
+
+
+def _memory(fitted: Fitted) -> int:
+    """Return the sum of the process's lags in samples, at most a share of the record."""
+    problem = fitted.problem
+    lags_s = float(np.exp(fitted.theta[: len(problem.structure.shape)]).max(initial=0.0))
+    apart_s = problem.dataset.span_s / max(fitted.residual.size, 1)
+    return int(min(lags_s / apart_s, MOST_CORRELATED * fitted.residual.size))
 
 
 def _residual(context: FitContext, fitted: Fitted) -> FloatArray:
