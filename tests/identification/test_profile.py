@@ -8,6 +8,7 @@ import scipy.optimize
 import scipy.stats
 
 from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.intervals.profile_likelihood import FURTHEST, _distances
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.identification import identify
 from autotuner.core.model.structures import FOPDT
@@ -77,3 +78,10 @@ def test_a_dead_time_near_zero_keeps_its_sign():
     low, high = errors.interval95["D"]
     assert low == 0.0
     assert 0.02 < high < 1.0
+
+
+@pytest.mark.parametrize("value", [2.0, -2.0])
+def test_an_interval_of_a_gain_that_includes_zero_has_an_end_beyond_any_factor(value):
+    down, up = _distances("K", value, tuple(sorted((-0.5 * value, 3.0 * value))))
+    assert down == -FURTHEST
+    assert up == pytest.approx(math.log(3.0))

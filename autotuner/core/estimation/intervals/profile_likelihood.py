@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -238,5 +240,7 @@ def _distances(name: str, value: float, quadratic: tuple[float, float]) -> tuple
     """Return how far below and above the estimate the quadratic interval ends: in a logarithm, a dead time in s."""
     if name == "D":
         return quadratic[0] - value, quadratic[1] - value
-    down, up = sorted(max(-FURTHEST, min(FURTHEST, math.log(bound / value))) for bound in quadratic)
+    # An end of the other sign is further away than any factor.
+    shares = (max(bound / value, SMALLEST_DIVISOR) for bound in quadratic)
+    down, up = sorted(max(-FURTHEST, min(FURTHEST, math.log(share))) for share in shares)
     return down, up
