@@ -122,7 +122,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         if pool and is_noise(context, best):
             break
         found = [*beside, *(candidate for beam in beams for candidate in extend(context, beam, effects))]
-        found, beside = closest_first(found), []
+        found = closest_first(found)
         if not found:
             break
         pool += found
@@ -131,10 +131,10 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         if accepted:
             following = _from_its_process(context, following, declared)
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
-            beside = with_wave(context, best)
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
             break
+        beside = with_wave(context, best) if accepted else []
         carried = _distinct(found)[:BEAM] if context.dataset.tuned else [best]
         jumped = _with_jump(context, base, effects) if len(steps) == 1 else []
         beams = [[at_the_input(context, explanation)] for explanation in [*carried, *jumped]]
