@@ -29,6 +29,8 @@ OF_OTHERS, MOST_LINES = 2, 8
 """Lines that each further signal adds, and the most in all."""
 FEWEST_PERIODS, FEWEST_ELSEWHERE = 2.0, 4.0
 """Fewest periods in a record that count as such: of a tuning, of anything else."""
+MOST_PERIODS = 0.45
+"""Most periods in a record over its samples: a little less than one in two samples, the limit of Nyquist."""
 BEGINS = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Moments at which a wave may begin, in shares of the fitted part."""
 STEPS_OF_A_WAVE = 24
@@ -43,7 +45,6 @@ def periodic_disturbances(dataset: Dataset, residuals: Sequence[FloatArray]) -> 
     if not lines:
         return ()
     span = dataset.span_s
-    lowest, highest = fewest_periods(dataset), 0.45 * dataset.data.t.size
 
     def waves(harmonics: Sequence[int], form: str) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
@@ -60,13 +61,13 @@ def periodic_disturbances(dataset: Dataset, residuals: Sequence[FloatArray]) -> 
         return Effect(
             "periodic_disturbance",
             Place.DISTURBANCE,
-            (Searched("log_periods", math.log(lowest), math.log(highest), 1e-5),),
+            (_periods(dataset),),
             [(math.log(line),) for line in lines],
             sizes,
             form=form,
             columns=columns,
             order=7,
-            price=math.log(max(highest, 2.0)),
+            price=_price(dataset),
         )
 
     return waves((1,), ""), waves((1, 2, 3), "harmonics"), waves((1,), "growing"), _late_wave(dataset, lines)
@@ -76,7 +77,6 @@ def _late_wave(dataset: Dataset, lines: Sequence[float]) -> Effect:
     """Return a wave that begins within the record."""
     span, interval = dataset.span_s, dataset.data.interval_s
     share = dataset.fitted_until_s / span
-    highest = 0.45 * dataset.data.t.size
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
         angle = 2.0 * math.pi * math.exp(p[0]) / span * view.t
@@ -87,16 +87,13 @@ def _late_wave(dataset: Dataset, lines: Sequence[float]) -> Effect:
     return Effect(
         "periodic_disturbance",
         Place.DISTURBANCE,
-        (
-            Searched("log_periods", math.log(fewest_periods(dataset)), math.log(highest), 1e-5),
-            Searched("moment", 0.02, 0.95, 1e-4),
-        ),
+        (_periods(dataset), Searched("moment", 0.02, 0.95, 1e-4)),
         [(math.log(line), at * share) for line in lines for at in BEGINS],
         lambda p, c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(*c[:2]), "from_s": p[1] * span},
         form="begins",
         columns=columns,
         order=7,
-        price=math.log(max(highest, 2.0)) + math.log(len(BEGINS)),
+        price=_price(dataset) + math.log(len(BEGINS)),
     )
 
 
@@ -111,7 +108,6 @@ def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
         Whether it is a square wave: a load that is switched on and off.
     """
     span, swing = dataset.span_s, dataset.swing
-    lowest, highest = fewest_periods(dataset), 0.45 * dataset.data.t.size
 
     def load(p: Sequence[float], dataset: Dataset) -> HeldInput:
         periods, phase = math.exp(p[0]), math.atan2(p[2], p[1])
@@ -131,7 +127,7 @@ def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
         "periodic_disturbance",
         Place.DISTURBANCE,
         (
-            Searched("log_periods", math.log(lowest), math.log(highest), 1e-5),
+            _periods(dataset),
             Searched("sine", -LARGEST_LOAD, LARGEST_LOAD, 1e-4),
             Searched("cosine", -LARGEST_LOAD, LARGEST_LOAD, 1e-4),
         ),
@@ -140,13 +136,27 @@ def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
         form="switched at the input" if switched else "at the input",
         load=load,
         order=7,
-        price=math.log(max(highest, 2.0)),
+        price=_price(dataset),
     )
 
 
 def fewest_periods(dataset: Dataset) -> float:
     """Return how many periods in a record count as such."""
     return FEWEST_PERIODS if dataset.tuned else FEWEST_ELSEWHERE
+
+
+def _most_periods(dataset: Dataset) -> float:
+    return MOST_PERIODS * dataset.data.t.size
+
+
+def _periods(dataset: Dataset) -> Searched:
+    """Return the logarithm of the number of periods in a record as a searched number."""
+    return Searched("log_periods", math.log(fewest_periods(dataset)), math.log(_most_periods(dataset)), 1e-5)
+
+
+def _price(dataset: Dataset) -> float:
+    """Return the price of a period: as many are tried as the record can show."""
+    return math.log(max(_most_periods(dataset), 2.0))
 
 
 def lines_of_all(dataset: Dataset, residuals: Sequence[FloatArray]) -> list[float]:
@@ -168,7 +178,7 @@ def spectral_lines(dataset: Dataset, residual: FloatArray) -> list[float]:
     values = (values - values.mean()) * np.hanning(values.size)
     power = np.abs(np.fft.rfft(values, 4 * values.size)) ** 2
     periods = np.arange(power.size) / 4.0 * dataset.span_s / (t[-1] - t[0])
-    power[(periods < fewest_periods(dataset)) | (periods > 0.45 * dataset.data.t.size)] = 0.0
+    power[(periods < fewest_periods(dataset)) | (periods > _most_periods(dataset))] = 0.0
     found = []
     for _ in range(LINES):
         top = int(np.argmax(power))
