@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 from autotuner.errors import LinkError
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Callable, Hashable, Mapping
 
 
 class Line(Protocol):
@@ -35,6 +35,13 @@ class Line(Protocol):
 
     async def disconnect(self) -> None:
         """Close the line."""
+
+
+def report_closed(users: Mapping[Any, Callable[[str], None] | None], reason: str) -> None:
+    """Pass the reason why a device is gone to all users that have a callback for it."""
+    for callback in list(users.values()):
+        if callback is not None:
+            callback(reason)
 
 
 LineT = TypeVar("LineT", bound=Line)

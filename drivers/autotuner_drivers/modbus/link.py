@@ -36,7 +36,7 @@ from autotuner_drivers.modbus.open_line import PORTS, OpenLine
 from autotuner_drivers.modbus.overlap import FRAMER, HEADER_BYTES, Overlap
 from autotuner_drivers.modbus.protocol import Account, Exchange, driver_error, not_open, refusal
 from autotuner_drivers.modbus.register_map import DeviceLimits
-from autotuner_drivers.shared_lines import SharedLines
+from autotuner_drivers.shared_lines import SharedLines, report_closed
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Hashable, Sequence
@@ -134,7 +134,7 @@ class ModbusLink:
     def take_line(self) -> None:
         """Join the line; raise `LinkError` where another loop has it open with other settings."""
         if self not in self._line.users:
-            self._line = PORTS.join(self, self._line, self._report_closed)
+            self._line = PORTS.join(self, self._line, partial(report_closed, self.users))
 
     async def open(self) -> None:
         """Connect now, without regard to an earlier failure; nothing when connected.
@@ -157,11 +157,6 @@ class ModbusLink:
     def connected(self) -> bool:
         """Whether there is a connection, as far as is known."""
         return self._connection.up
-
-    def _report_closed(self, reason: str) -> None:
-        for gone in list(self.users.values()):
-            if gone is not None:
-                gone(reason)
 
     def counted_from(self, now_s: float) -> float:
         """Return the time from which the periods of all loops count, s: when the first of them asked."""

@@ -7,13 +7,14 @@ are reached over TCP have a connection each, which the loops of one unit share (
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from autotuner_drivers.modbus.connection import ModbusConnection
 from autotuner_drivers.modbus.line_watch import LineWatch
 from autotuner_drivers.modbus.lines import RtuLine
-from autotuner_drivers.shared_lines import SharedLines
+from autotuner_drivers.shared_lines import SharedLines, report_closed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,8 +56,8 @@ class OpenLine:
         self.turn = asyncio.Lock()
         self.watch = LineWatch(line.watch) if line.watch else None
         self.connection = ModbusConnection(line, device, timeout_s, SILENT_REQUESTS - 1, self._on_packet, self.turn)
-        self.connection.gone = self._report_closed
         self.users: dict[object, Callable[[str], None] | None] = {}
+        self.connection.gone = partial(report_closed, self.users)
         self._readable = readable
 
     @property
@@ -67,11 +68,6 @@ class OpenLine:
     async def disconnect(self) -> None:
         """Close the connection."""
         await self.connection.close()
-
-    def _report_closed(self, reason: str) -> None:
-        for gone in list(self.users.values()):
-            if gone is not None:
-                gone(reason)
 
     def _on_packet(self, sending: bool, packet: bytes) -> bytes:  # noqa: FBT001 - the library's signature
         if self.watch is None:
