@@ -334,14 +334,21 @@ def overloaded(attack, program):
             f"abort answered {status}": status != 202,
             "abort was late": abort_s > ABORT_LIMIT_S,
             f"the tuning ended otherwise: {ended[:1]}": not by_abort,
-            "the output was not restored": abs(output - OUTPUT) > NEAR,
-            "the log grew too fast": log > LOG_LIMIT_MB,
-            "the end was late": end_s > END_LIMIT_S,
-            f"exit code {service.process.returncode}": service.process.returncode != 0,
-            "a traceback in the log": any(b"Traceback" in line for line in service.log),
+            **failures_of_the_end(service, output, log, end_s),
         }
     numbers = f"{abort_s:6.2f}  {'yes' if by_abort else 'no':6}  {output:6.1f}  {log:5.2f}  {end_s:5.1f}"
     return numbers, [what for what, failed in failures.items() if failed]
+
+
+def failures_of_the_end(service, output, log, end_s):
+    """Return what may be wrong with the end of a service, each with whether it is."""
+    return {
+        "the output was not restored": abs(output - OUTPUT) > NEAR,
+        "the log grew too fast": log > LOG_LIMIT_MB,
+        "the end was late": end_s > END_LIMIT_S,
+        f"exit code {service.process.returncode}": service.process.returncode != 0,
+        "a traceback in the log": any(b"Traceback" in line for line in service.log),
+    }
 
 
 def kill_workers(service):
@@ -379,11 +386,7 @@ def ended(case, program):
         failures = {
             f"the verdict is {told['verdict']}": outcome != "done",
             "the verdict was late": verdict_s > VERDICT_LIMIT_S,
-            "the output was not restored": abs(output - OUTPUT) > NEAR,
-            "the log grew too fast": log > LOG_LIMIT_MB,
-            "the end was late": end_s > END_LIMIT_S,
-            f"exit code {service.process.returncode}": service.process.returncode != 0,
-            "a traceback in the log": any(b"Traceback" in line for line in service.log),
+            **failures_of_the_end(service, output, log, end_s),
         }
     numbers = f"{verdict_s:6.2f}  {'yes' if outcome == 'done' else 'no':6}  {output:6.1f}  {log:5.2f}  {end_s:5.1f}"
     return numbers, [what for what, failed in failures.items() if failed]
