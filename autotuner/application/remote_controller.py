@@ -84,7 +84,7 @@ class RemoteController:
         self._tuning, self._operations = tuning, operations
         work = Experiment(tuning.request.settings)
         self._remote = operations.remote(work, processes, tuning.journal, self._take, pool)
-        self._heard_s = 0.0
+        self._received_at_s = 0.0
 
     def abort(self, verdict: Verdict) -> None:
         """Request the end; the output is restored at once, the first verdict counts."""
@@ -115,7 +115,7 @@ class RemoteController:
         return closing.verdict
 
     def _take(self, report: Report) -> None:
-        self._heard_s = asyncio.get_running_loop().time()
+        self._received_at_s = asyncio.get_running_loop().time()
         self.before = report.before
         if report.state is not None:
             self.experiment = RemoteExperiment(report.state, self._remote.send)
@@ -142,7 +142,7 @@ class RemoteController:
 
     def _publish_now(self, event: Event) -> None:
         """Publish an event of here, at the time since the start of the process."""
-        silent_s = asyncio.get_running_loop().time() - self._heard_s
+        silent_s = asyncio.get_running_loop().time() - self._received_at_s
         self._tuning.publish(replace(event, t=self.samples[-1].t + silent_s if self.samples else 0.0))
 
     async def _known(self) -> LeaseRecord:

@@ -206,12 +206,12 @@ def _coloured(best: Candidate, estimate: Estimate, step: float, recording: Recor
                 "intervals reckon with"
             )
         ]
-    notes = (
+    text = (
         f"the residual of {best.rmse:.3g} is not noise alone: the process does something that the structure lacks; "
         f"the intervals are widened by {math.sqrt(best.inflation):.2g}"
     )
     small = best.rmse <= SMALL_MISFIT * float(np.std(recording.pv))
-    return [Note(notes) if small else Doubt(notes)]
+    return [Note(text) if small else Doubt(text)]
 
 
 def odd_output_before(fitted: Candidate, recording: Recording) -> float | None:
@@ -255,8 +255,8 @@ def _fed_back(recording: Recording) -> list[str]:
 def _outliers(best: Candidate) -> list[str]:
     if not best.spikes:
         return []
-    notes = f"{best.spikes} samples were left out as outliers"
-    return [Note(notes) if best.spikes <= FEW_OUTLIERS * best.solution.problem.data.t.size else notes]
+    text = f"{best.spikes} samples were left out as outliers"
+    return [Note(text) if best.spikes <= FEW_OUTLIERS * best.solution.problem.data.t.size else text]
 
 
 def _moments(best: Candidate) -> list[str]:
@@ -279,17 +279,18 @@ def _perhaps_between(choice: Choice, estimate: Estimate) -> list[str]:
     if other is None or other.model.structure != best.model.structure:
         return []
     values, errors = other.model.parameters(), other.uncertainty(profile=False).standard_error
-    notes = [
+    differences = [
         f"{name} {values[name]:.4g} +- {errors[name]:.2g}"
         for name, value in best.model.parameters().items()
         if name != "D" and abs(values[name] - value) > MATTERS * max(estimate.standard_error[name], SMALL * abs(value))
     ]
-    if not notes:
+    if not differences:
         return []
     return [
         (
             "this record does not show whether the output changed at its samples or between them; if it was sampled as "
-            f"the PV was, {', '.join(notes)}: identify with moments `between`, or record when each output was written"
+            f"the PV was, {', '.join(differences)}: identify with moments `between`, or record when each output was "
+            "written"
         )
     ]
 
@@ -326,8 +327,8 @@ def _beyond_the_record(best: Candidate, recording: Recording) -> list[str]:
     """Return whether the dynamics are slower than the record or faster than its samples."""
     slowest = max(best.solution.start.shape, default=0.0)
     if slowest > recording.duration_s:
-        notes = f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"
-        return [Note(notes)]
+        text = f"a time constant of {slowest:.3g} s is longer than the record of {recording.duration_s:.3g} s"
+        return [Note(text)]
     if 0.0 < slowest < recording.sample_interval_s:
         return [
             Note(

@@ -65,7 +65,7 @@ OF_TWO_LAGS = {"T": "T1"}
 
 @dataclass(frozen=True, slots=True)
 class ControllerView:
-    """A process as a controller meets it.
+    """A process as a controller sees it.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ControllerView:
 def controller_view(
     process: ProcessModel, covariance: FloatArray | None, effects: Sequence[FoundEffect]
 ) -> ControllerView | None:
-    """Return the process as a controller meets it; None where no model holds it.
+    """Return the process as a controller sees it; None where no model holds it.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:
     return max((share * sizes.get(name, 0.0) for name, share in shares.items()), default=0.0)
 
 
-def _times(view: ControllerView, name: str, factor: float, changes: str) -> ControllerView:
+def _times(view: ControllerView, name: str, factor: float, change: str) -> ControllerView:
     """Return the process with one of its parameters multiplied, at least by one."""
     if factor <= 1.0:
         return view
@@ -148,7 +148,7 @@ def _times(view: ControllerView, name: str, factor: float, changes: str) -> Cont
     scale = np.array([factor if one == name else 1.0 for one in values])
     covariance = None if view.covariance is None else view.covariance * np.outer(scale, scale)
     model = replace(view.model, **{name: values[name] * factor})  # type: ignore[type-var]
-    return ControllerView(model, covariance, (*view.changes, changes.format(factor)))
+    return ControllerView(model, covariance, (*view.changes, change.format(factor)))
 
 
 def _with_dead_time(view: ControllerView, later_s: float) -> ControllerView:

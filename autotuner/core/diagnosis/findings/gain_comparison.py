@@ -149,10 +149,10 @@ def both_gains(
     first = _gains(before, loop, requested)
     if process == before.model and not effects:
         return {"before": first, "after": first}
-    met = controller_view(process, after.covariance, effects)
-    if met is None:
+    view = controller_view(process, after.covariance, effects)
+    if view is None:
         return {"before": first, "after": None}
-    answers = Known(met.model, met.covariance)
+    answers = Known(view.model, view.covariance)
     last = _gains(answers, loop, requested)
     compared: dict[str, object] = {"before": first, "after": last}
     calm = _gains(answers, loop, requested.calmer) if requested.calmer and installed.foreseen else None
