@@ -18,9 +18,6 @@ pytestmark = [
     pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the processes are found in /proc"),
 ]
 
-BY_RULE = {"rule": "simc_pi"}
-"""A tuning whose gains, which are no matter here, are of a formula."""
-
 
 @pytest.fixture
 def scene(tmp_path):
@@ -34,7 +31,7 @@ def scene(tmp_path):
         return SimpleNamespace(
             service=service,
             client=client,
-            tuning=client.post("/v1/loops/TIC-101/tunings", json=BY_RULE).json()["id"],
+            tuning=client.post("/v1/loops/TIC-101/tunings").json()["id"],
             output=plc.output,
             journal=plc.journal,
             again=lambda: spawn(stack, "serve", "--json", "--config", plc.config),

@@ -143,10 +143,6 @@ REGISTERS = """{ pv = { table = "input", address = 0, type = "int16", scale = 0.
 output = { table = "holding", address = 0, type = "int16", scale = 0.1 }, auto = { table = "coil", address = 0 } }"""
 
 
-BY_RULE = {"rule": "simc_pi"}
-"""A tuning whose gains, which are no matter here, are of a formula."""
-
-
 async def test_a_service_tunes_two_loops_of_one_line_at_once(bus, tmp_path):
     device = f'transport = "rtu", serial_port = "{bus}", baudrate = 9600, parity = "E", timeout_s = 0.3'
     config = tmp_path / "loops.toml"
@@ -156,7 +152,7 @@ async def test_a_service_tunes_two_loops_of_one_line_at_once(bus, tmp_path):
     try:
         url = json.loads(await service.stdout.readline())["listening"]
         async with httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:
-            started = [await client.post(f"/v1/loops/{name}/tunings", json=BY_RULE) for name in ("seven", "eight")]
+            started = [await client.post(f"/v1/loops/{name}/tunings") for name in ("seven", "eight")]
             assert [answer.status_code for answer in started] == [202, 202], [answer.text for answer in started]
             told = [await ended(client, answer.json()["id"]) for answer in started]
     finally:

@@ -81,7 +81,7 @@ def test_a_plc_in_auto_is_taken_over_and_goes_back_to_auto(peer, tmp_path):
     """Judged by K/T and D, which the relay shows sharply: K alone hangs on the exact moments of its switches."""
     rest = ("--auto", "--u0", 15, "--ubias", 15, "--y0", 50, "--sp", 50, "--own-pid", 0.5, 10.0, 0.0)
     plc = start(peer, *rest)
-    done = tune(tmp_path, plc["tcp"], "--rule", "simc_pi")
+    done = tune(tmp_path, plc["tcp"])
     after = ask(plc["control"])
     assert done.returncode == 0, done.stdout + done.stderr
     model = json.loads(done.stdout)["model"]
