@@ -74,6 +74,14 @@ def test_python_on_recordings_does_what_the_page_says(root, capsys):
     assert capsys.readouterr().out.endswith("adequate\n")
 
 
+def test_a_file_of_the_repository_that_a_page_links_to_is_part_of_the_site(root):
+    hooks = runpy.run_path(str(root / "docs" / "site_hooks.py"))
+    page = "see [the example](../../examples/plc.toml), [another page](../safety.md), [the card](../../README.md)"
+    files = hooks["linked_files"]({"how-to/plc-over-modbus.md": page})
+    assert {"examples/plc.toml", "README.md"} <= files
+    assert "docs/safety.md" not in files
+
+
 def test_the_pins_of_the_site_are_exact_and_hashed(root, pyproject):
     text = (root / "constraints" / "docs.txt").read_text(encoding="utf-8")
     line = re.compile(r"    --hash=sha256:[0-9a-f]{64}( \\)?|[a-z0-9-]+==[\w.]+( ; [\w .'=!<>]+)? \\")
@@ -93,5 +101,7 @@ def test_the_site_builds(root, tmp_path):
         text = path.read_text(encoding="utf-8")
         assert re.findall(r'(?:src|<link[^>]* href)="(?:https?:)?//', text) == []
         assert "stateDiagram" not in text
+        links = [link for link in re.findall(r'(?:src|href)="([^"#?]+)', text) if ":" not in link]
+        assert [link for link in links if not path.parent.joinpath(link).exists()] == []
     assert 'src="images/diagrams/safety.svg"' in (tmp_path / "safety.html").read_text(encoding="utf-8")
     assert '<span class="k">class</span>' in (tmp_path / "drivers.html").read_text(encoding="utf-8")
