@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.data import ANY_GAIN
+from autotuner.core.estimation.initial_guesses import starts_from
 from autotuner.core.estimation.least_squares import fit, freed
 from autotuner.core.estimation.switch_times import may_be_unsure, promise
 from autotuner.core.model.structures import (
@@ -121,12 +122,29 @@ def choose(
     for kind in searched(structure):
         if _ruled_out(kind, candidates, structure):
             continue
-        candidate = fit(data, kind, prior, resolution)
+        candidate = _not_run_away(fit(data, kind, prior, resolution), candidates, data, prior, resolution)
         if candidate is not None and _is_requested(candidate, structure):
             candidates.append(candidate)
     if structure == "auto":
         candidates = [one for one in candidates if one.structure not in HIGHER_ORDER or one.white]
     return _moments_weighed(ranked(candidates), structure, prior, moments) if candidates else None
+
+
+def _not_run_away(
+    found: Candidate | None, others: list[Candidate], data: Data, prior: GainPrior, resolution: float
+) -> Candidate | None:
+    """Return a pair of lags beside measured disturbances from the fit of one lag, where its own search ran away.
+
+    A second lag takes the place of dead time: a pair with more of it than one lag left its starts, at which the
+    disturbances were placed for a preliminary process.
+    """
+    single = next((other for other in others if other.structure is FOPDT), None)
+    if not data.others or found is None or found.structure is not SECOND_ORDER or single is None:
+        return found
+    if found.model.D <= single.model.D:
+        return found
+    again = fit(data, SECOND_ORDER, prior, resolution, starts_from(single.model, SECOND_ORDER))
+    return found if again is None else ranked([found, again]).best
 
 
 def _is_requested(candidate: Candidate, structure: str) -> bool:
