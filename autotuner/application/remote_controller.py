@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from autotuner.control.operations.messages import Closing, ExperimentState, Report
     from autotuner.control.records.lease_record import Before
     from autotuner.control.reporting.events import Event
+    from autotuner.core.model.process import Integrating
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
@@ -52,9 +53,9 @@ class RemoteExperiment:
         """Warnings of the experiment."""
         return self.state.warnings
 
-    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
+    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrating: Integrating | None = None) -> None:
         """Send the process the uncertainty of a model."""
-        self.post(Inform(model_error, expected_loss, integrates))
+        self.post(Inform(model_error, expected_loss, integrating))
 
     def settings_so_far(self) -> dict[str, object]:
         """Return the settings for the recording, JSON-ready."""

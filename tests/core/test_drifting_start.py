@@ -13,6 +13,7 @@ from autotuner.core.experiment.phases import Phase
 from autotuner.core.experiment.refusals import drifting
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
 from autotuner.core.identification import running_model
+from autotuner.core.model import process
 from autotuner.core.recording import Recording, Sample
 from autotuner.core.signals.quiet import QuietMeasurement
 from autotuner.errors import InputError
@@ -32,7 +33,7 @@ from autotuner_sim.effects import Drift
 AMPLITUDE, OUTPUT0, PV0 = 10.0, 40.0, 80.0
 
 
-def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000, *, integrates=False):
+def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000, *, integrating=None):
     """Run an experiment as the runtime does, the running model included; return it with its recording."""
     sensors = [Noise(sigma, seed=3)] if sigma else []
     loop = SteppedPlant(plant, output0=OUTPUT0, pv0=PV0, loads=loads, offsets=offsets, sensors=sensors)
@@ -50,7 +51,7 @@ def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000, *,
             seen = experiment.settings_so_far()
             model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
             error = np.inf if model is None else model.relative_error
-            experiment.inform(error, integrates=integrates)
+            experiment.inform(error, integrating=integrating)
     raise AssertionError("the experiment did not end")
 
 
@@ -122,9 +123,11 @@ def test_an_integrator_that_drifts_at_rest_is_tuned_about_a_fixed_value(load):
     plant = Integrating(0.2, 4.0, 0.8)
     Pu, A = oscillation(plant)
     settings = ExperimentSettings(sample_time_s=Pu / 80.0, amplitude=AMPLITUDE)
-    experiment, recording = conduct(plant, settings, loads=[LoadStep(0.0, load)], sigma=0.005 * A, integrates=True)
+    known = process.Integrating(0.2, 4.0, 0.8)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(0.0, load)], sigma=0.005 * A, integrating=known)
     assert experiment.verdict is None
-    assert "return" not in recording.segments  # the impulse of the output balanced the load
+    returned = np.abs(recording.pv[recording.t >= recording.segments["return"]] - PV0)
+    assert returned[-1] < 0.9 * returned[0]  # within four periods, and with the last dead time still to come
     assert any("fixed value" in warning for warning in experiment.warnings)
     assert "drift_per_s" not in recording.settings
     model = identified(recording).identification.model

@@ -75,18 +75,22 @@ async def _estimate(tuning: Estimated, pool: ComputePool, gain: Gain | None) -> 
 
 
 def _inform_of_kind(tuning: Estimated, until_s: float, model: ProcessModel) -> None:
-    """Pass only whether the process integrates: a PV that has to be brought back does not wait for a good model."""
+    """Pass only that the process integrates: a PV that has to be brought back does not wait for a good model."""
     if tuning.controller is not None and tuning.controller.experiment is not None:
-        tuning.controller.experiment.inform(math.inf, integrates=_integrates(model, until_s))
+        tuning.controller.experiment.inform(math.inf, integrating=as_integrator(model, until_s))
 
 
-def _integrates(model: ProcessModel, until_s: float) -> bool:
-    """Return whether the PV has no equilibrium within about the duration of the test.
+def as_integrator(model: ProcessModel, until_s: float) -> Integrating | None:
+    """Return a process as an integrator where its PV has no equilibrium within about the duration of the test.
 
     A record cannot distinguish an integrator from a lag longer than itself, and quick fits confuse the two.
     """
-    slow = not isinstance(model, UnstableFopdt) and sum_of_lags(model) > until_s
-    return isinstance(model, Integrating) or slow
+    if isinstance(model, Integrating | UnstableFopdt):
+        return model if isinstance(model, Integrating) else None
+    if sum_of_lags(model) <= until_s:
+        return None
+    _, first, *further = model.rational().a
+    return Integrating(model.K / first, further[0] / first if further else 0.0, model.D)
 
 
 def _inform(tuning: Estimated, until_s: float, running: RunningModel | None) -> None:
@@ -95,7 +99,7 @@ def _inform(tuning: Estimated, until_s: float, running: RunningModel | None) -> 
         return
     if running.explains:
         tuning.controller.experiment.inform(
-            running.relative_error, running.expected_loss, integrates=_integrates(running.model, until_s)
+            running.relative_error, running.expected_loss, integrating=as_integrator(running.model, until_s)
         )
     model = running.model
     values, errors = model.parameters(), dict(running.standard_error)

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.control.records.lease_record import Before
+    from autotuner.core.model.process import Integrating
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
@@ -19,7 +20,7 @@ class Conducted(Protocol):
     def warnings(self) -> Sequence[str]:
         """Warnings of the experiment."""
 
-    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
+    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrating: Integrating | None = None) -> None:
         """Take the uncertainty of a model that explains the record so far, see `Experiment.inform`."""
 
     def settings_so_far(self) -> dict[str, object]:

@@ -123,7 +123,7 @@ class Conducting:
         """Pass a model to the experiment."""
         if self.controller.experiment is not None:
             self.controller.experiment.inform(
-                message.relative_error, message.expected_loss, integrates=message.integrates
+                message.relative_error, message.expected_loss, integrating=message.integrating
             )
 
     async def run(self) -> Closing:

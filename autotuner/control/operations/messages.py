@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from autotuner.control.records.lease_record import Before
     from autotuner.control.records.open_journal import HandedJournal
     from autotuner.control.reporting.events import Event
+    from autotuner.core.model.process import Integrating
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
@@ -87,7 +88,7 @@ class Inform(NamedTuple):
 
     relative_error: float
     expected_loss: float = 0.0
-    integrates: bool = False
+    integrating: Integrating | None = None
 
 
 class MethodCall(NamedTuple):

@@ -13,6 +13,7 @@ Invariants:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from autotuner.core.experiment import refusals
@@ -20,6 +21,7 @@ from autotuner.core.experiment.parallel_controller import Parallel
 from autotuner.core.experiment.phases import Phase, PhaseEvent, next_phase
 from autotuner.core.experiment.relay import place_levels
 from autotuner.core.experiment.relay_phase.check import HalfRelay, Holds, Return
+from autotuner.core.experiment.relay_phase.displacement import Displacement
 from autotuner.core.experiment.relay_phase.oscillation import Oscillation
 from autotuner.core.experiment.stages import Rest
 from autotuner.core.experiment.step import Step
@@ -30,9 +32,12 @@ if TYPE_CHECKING:
     from autotuner.core.experiment.relay import Levels
     from autotuner.core.experiment.settings import ExperimentSettings
     from autotuner.core.experiment.step import RunningEstimate, Stage
+    from autotuner.core.model.process import Integrating
     from autotuner.core.recording import Sample
     from autotuner.core.verdict import Verdict
 
+RETURN_MEAN = 0.25
+"""Latest time over which the displacement of an integrating process is averaged, in Pu: noise is, its swing is not."""
 LEFT_LINE = frozenset({"pv_drifts", "no_oscillation"})
 """Refusals of a relay about a moving reference after which a fixed one is tried."""
 LEFT_LINE_NOTE = Note("the drift of the PV at rest did not go on as a line: the relay began again about a fixed value")
@@ -82,15 +87,13 @@ class Experiment:
         self._relay_seen: dict[str, object] = {}
         self._baseline: Baseline | None = None
         self._line_verdict: Verdict | None = None
-        self._integrates = self._drifted = False
-        self._impulse = 0.0
-        self._last: tuple[float, float] | None = None
+        self._integrating: Integrating | None = None
+        self._displacement = Displacement(output)
 
     def step(self, sample: Sample) -> Command:
         """Process one sample and return the output from then on."""
         if self.phase is Phase.ARM:
             self._arm(sample)
-        self._follow_output(sample)
         if self._stage is None:
             return Command(self.initial_output, self.phase)
         if self._over_time(sample):
@@ -104,7 +107,7 @@ class Experiment:
         self.verdict = self.verdict or verdict
         self._stage = None
 
-    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrates: bool = False) -> None:
+    def inform(self, model_error: float, expected_loss: float = 0.0, *, integrating: Integrating | None = None) -> None:
         """Take the uncertainty of a model that explains the record so far; it may end the relay phase, or prolong it.
 
         Parameters
@@ -113,10 +116,10 @@ class Experiment:
             Largest relative standard error of its parameters.
         expected_loss : float
             Share by which the load error of gains for it exceeds that of a process known exactly.
-        integrates : bool
-            Whether the process integrates: its PV does not return without a move of the output.
+        integrating : Integrating or None
+            The process, where it integrates: its PV does not return without a move of the output.
         """
-        self._integrates = integrates
+        self._integrating = integrating
         if isinstance(self._stage, Oscillation):
             self._stage.inform(model_error, expected_loss)
 
@@ -156,24 +159,16 @@ class Experiment:
         self._stage = Rest(settings, self.initial_output, levels)
         self.phase = next_phase(self.phase, PhaseEvent.ARMED)
 
-    def _follow_output(self, sample: Sample) -> None:
-        """Add up how far the output has been from its rest, and for how long."""
-        if self._last is not None:
-            since_s, output = self._last
-            self._impulse += (output - self.initial_output) * (sample.t - since_s)
-        self._last = (sample.t, sample.output)
-
     def _returning(self, stage: Stage, step: Step, sample: Sample) -> Step:
-        """Return the step, or where the check of an integrating process ends, one that brings the PV back first.
-
-        Its time follows from the output alone, so the PV must have been at rest under the output that was found.
-        """
-        alone = self.settings.online is None and self._baseline is None and not self._drifted
-        if step.event is not PhaseEvent.CHECKED or not (self._integrates and alone):
+        """Return the step, or where the check of an integrating process ends, one that brings the PV back first."""
+        process = self._integrating
+        if step.event is not PhaseEvent.CHECKED or not isinstance(stage, HalfRelay | Holds):
             return step
-        if not isinstance(stage, HalfRelay | Holds):
+        if process is None or (process.K > 0.0) != self.settings.direct:
             return step
-        following = Return(stage.found, self._impulse, self.initial_output, sample)
+        averaged_s = RETURN_MEAN * stage.found.cycle.period_s
+        left, interval_s = partial(self._displacement.left, process, averaged_s), self.settings.sample_time_s
+        following = Return(stage.found, left, self.initial_output, sample, interval_s)
         return Step(following.output, following=following, segment="return", warning=step.warning)
 
     def _off_the_line(self, stage: Stage, step: Step) -> Step:
@@ -195,8 +190,10 @@ class Experiment:
         return self._started_s is not None and sample.t - self._started_s > self.settings.time_limit_s
 
     def _advance(self, stage: Stage, sample: Sample) -> Command:
-        step = stage.step(sample if self._baseline is None else self._baseline.levelled(sample))
-        step = self._returning(stage, self._off_the_line(stage, step), sample)
+        levelled = sample if self._baseline is None else self._baseline.levelled(sample)
+        self._displacement.step(levelled)
+        step = stage.step(levelled)
+        step = self._returning(stage, self._off_the_line(stage, step), levelled)
         self._baseline = step.baseline or self._baseline
         if self._baseline is not None and isinstance(stage, Oscillation):
             self._baseline.follow(sample, step.output)
@@ -204,7 +201,6 @@ class Experiment:
             self.segments[step.segment] = sample.t
         if isinstance(stage, Oscillation):
             self._relay_seen = stage.settings_so_far()
-            self._drifted = self._drifted or stage.drifted
         self.warnings += [step.warning] if step.warning else []
         if step.verdict is not None:
             self.stop(step.verdict)
@@ -215,6 +211,6 @@ class Experiment:
         if self.phase is Phase.RESTORE:
             return Command(self.initial_output, self.phase, step.estimate)
         output = step.output
-        if self._beside is not None:
+        if self._beside is not None and not isinstance(self._stage, Return):
             output = self._beside.step(sample, output, resting=isinstance(stage, Rest))
         return Command(output, self.phase, step.estimate)

@@ -24,6 +24,8 @@ from autotuner.core.experiment.step import Step
 from autotuner.core.notes import Note
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from autotuner.core.experiment.relay import Relay
     from autotuner.core.recording import Sample
     from autotuner.core.signals.detector import Cycle
@@ -125,33 +127,44 @@ class Holds:
 
 
 class Return:
-    """Return the PV of an integrating process: the integral of the output's deviation from its rest becomes zero.
+    """Return the PV of an integrating process: the output removes the displacement, within the levels of the relay.
 
-        hold = |I| / |u - u_0|,   I = int (u - u_0) dt so far,   u the far level of the relay on the other side
+    The far level is held until what is left to remove is less than a sample of it; a last sample removes that.
 
     Parameters
     ----------
     found : Oscillated
         What the relay found.
-    impulse : float
-        `I`, output units s.
+    left : callable
+        Returns the impulse of the output that displaces the PV from its start, output units s, see `Displacement`.
     rest : float
-        Output at rest `u_0`, output units.
+        Output at rest, output units.
     began : Sample
         First sample of this stage; the PV may be far from its reference then, which does not end the stage.
+    sample_time_s : float
+        Time between samples, s.
     """
 
-    def __init__(self, found: Oscillated, impulse: float, rest: float, began: Sample) -> None:
-        self.found, self._began_pv = found, began.pv
-        self.output = found.relay.low if impulse > 0.0 else found.relay.high
-        strength = abs(self.output - rest)
-        longest_s = LONGEST_RETURN * found.cycle.period_s
-        self._until_s = began.t + (min(abs(impulse) / strength, longest_s) if strength > 0.0 else 0.0)
+    def __init__(
+        self, found: Oscillated, left: Callable[[], float], rest: float, began: Sample, sample_time_s: float
+    ) -> None:
+        self.found, self._left, self._rest, self._began_pv = found, left, rest, began.pv
+        self._until_s = began.t + LONGEST_RETURN * found.cycle.period_s
+        self._sample_time_s = sample_time_s
+        self._is_last = False
+        self.output = self._level()
 
     def step(self, sample: Sample) -> Step:
-        """Hold the level until its end time; the PV responds only after the dead time."""
-        ended = sample.t >= self._until_s or self._runs_away(sample.pv)
-        return Step(self.output, PhaseEvent.CHECKED if ended else None)
+        """Hold the level until the PV will return by itself; it responds only after the dead time."""
+        if self._is_last or sample.t >= self._until_s or self._runs_away(sample.pv):
+            return Step(self.output, PhaseEvent.CHECKED)
+        self.output = self._level()
+        return Step(self.output)
+
+    def _level(self) -> float:
+        relay, wanted = self.found.relay, self._rest - self._left() / self._sample_time_s
+        self._is_last = relay.low <= wanted <= relay.high
+        return min(max(wanted, relay.low), relay.high)
 
     def _runs_away(self, pv: float) -> bool:
         """Return whether the PV is too far on the other side, or has gone on as far again on the one it was on."""

@@ -87,11 +87,6 @@ class Oscillation:
         return Step(self.relay.level(is_high=is_high), verdict=verdict or self._no_oscillation(sample))
 
     @property
-    def drifted(self) -> bool:
-        """Whether the PV drifted at rest."""
-        return self._rested.drift is not None
-
-    @property
     def _is_worth_more(self) -> bool:
         """Whether the gains could still win by knowing the process better."""
         return self._expected_loss > WORTHWHILE
