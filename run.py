@@ -26,6 +26,7 @@ if sys.version_info < (3, 11):  # noqa: UP036 - this line is written for the old
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -50,6 +51,10 @@ SLOWING = ("PYTHONDONTWRITEBYTECODE",)
 
 PINNED = ("--require-hashes", "--no-deps")
 """How pip installs pins: they are complete, so nothing is resolved, and no newer release can get in the way."""
+PACKAGE = re.compile(r"^\S.*\n?(?:\s.*\n?)*", re.MULTILINE)
+"""A package in a file of pins: its version, then its hashes in lines that begin with a space."""
+INSTALLERS = 2
+"""Processes that install packages at once: as many as the smallest machine has processors."""
 COMPILING = ["-m", "compileall", "-qq", "-j", "0", "-x", r"[/\\]tests?[/\\]"]
 """How what was installed is compiled: on all processors, where pip takes one, and without the packages' own tests."""
 
@@ -142,13 +147,25 @@ def install(kind: str) -> None:
     pip = working_pip()
     STAMP.unlink(missing_ok=True)
     pins = ROOT / "constraints" / f"{kind}.txt"
-    count = sum(not line.startswith(" ") for line in pins.read_text(encoding="utf-8").splitlines())
-    say(f"installing {count} packages into {VENV} (once; a minute or two)")
-    run_pip([*pip, "install", *PINNED, "--no-compile", "--only-binary", ":all:", "-r", pins])
+    packages = PACKAGE.findall(pins.read_text(encoding="utf-8"))
+    say(f"installing {len(packages)} packages into {VENV} (once; a minute or two)")
+    install_pinned(pip, packages)
     run_pip([*pip, "install", "--no-deps", "--no-build-isolation", "-e", ROOT])
     compile_installed()
     covered = {kind, "runtime"}  # the pins of the tests contain those of the tuner
     STAMP.write_text("\n".join(map(fingerprint, sorted(covered))) + "\n", encoding="utf-8")
+
+
+def install_pinned(pip: list[str | Path], packages: list[str]) -> None:
+    """Install packages by several processes: one takes a processor to unpack, and complete pins wait for no others."""
+    shares = [packages[number::INSTALLERS] for number in range(INSTALLERS)]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as pool:
+        files = [Path(folder) / f"{number}.txt" for number, share in enumerate(shares) if share]
+        for file, share in zip(files, shares, strict=False):
+            file.write_text("".join(share), encoding="utf-8")
+        command = [*pip, "install", *PINNED, "--no-compile", "--only-binary", ":all:", "-r"]
+        for done in [pool.submit(run_pip, [*command, file]) for file in files]:
+            done.result()
 
 
 def fingerprint(kind: str) -> str:

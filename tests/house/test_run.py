@@ -28,18 +28,35 @@ def run(root, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "STAMP", project / ".venv" / "stamp.txt")
     monkeypatch.setattr(module, "working_pip", lambda: ["pip"])
     module.asked = []
+    module.installed = []
     module.compile_now = module.compile_installed
     monkeypatch.setattr(module, "compile_installed", lambda: None)
-    monkeypatch.setattr(module, "run_pip", lambda command: module.asked.append([str(word) for word in command]))
+
+    def pip(command):
+        module.asked.append([str(word) for word in command])
+        if command[-2] == "-r":
+            module.installed.append(command[-1].read_text())
+
+    monkeypatch.setattr(module, "run_pip", pip)
     return module
 
 
 def test_installs_by_hash_first_and_the_project_last(run):
     run.install("runtime")
     pins, project = run.asked
-    assert {"--require-hashes", "--no-deps", str(run.ROOT / "constraints" / "runtime.txt")} <= set(pins)
+    assert {"--require-hashes", "--no-deps", "-r"} <= set(pins)
+    assert run.installed == ["constraints/runtime.txt==1\n"]
     assert project[-2:] == ["-e", str(run.ROOT)]
     assert {"--no-deps", "--no-build-isolation"} <= set(project)
+
+
+def test_each_pin_is_installed_once_with_its_hashes(run, root):
+    pins = (root / "constraints" / "test.txt").read_text()
+    (run.ROOT / "constraints" / "test.txt").write_text(pins)
+    run.install("test")
+    assert len(run.installed) == run.INSTALLERS
+    assert all("==" in text.partition("\n")[0] for text in run.installed)
+    assert sorted("".join(run.installed).splitlines()) == sorted(pins.splitlines())
 
 
 def test_what_pip_leaves_to_be_compiled_is_compiled(run, monkeypatch):
