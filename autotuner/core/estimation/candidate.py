@@ -151,11 +151,15 @@ class Candidate:
 
     @property
     def resolved(self) -> bool:
-        """Whether every time constant lies where the recording can show one, and the model is plausible."""
+        """Whether every time constant lies where the recording can show one, and the model is plausible.
+
+        Where the response is rounding, its dead time is as well, and only the background competes.
+        """
         problem = self.solution.problem
         shortest, longest = SHORTEST * problem.data.interval_s, LONGEST * problem.data.span_s
         shape = self.solution.start.shape
-        return _is_plausible(self.model) and all(shortest < value < longest for value in shape)
+        within = all(shortest < value < longest for value in shape)
+        return within and (_is_plausible(self.model) or self._is_rounding())
 
     def settles(self) -> bool:
         """Return whether the sum of the lags is significantly shorter than one that resembles an integrator here."""
@@ -204,10 +208,13 @@ class Candidate:
 
     def is_shown(self) -> bool:
         """Return whether the recording shows the response to the output: significant, and more than rounding."""
+        return self.worth() >= EVIDENCE and not self._is_rounding()
+
+    def _is_rounding(self) -> bool:
+        """Return whether the response to the output explains no more than rounding."""
         data = self.solution.problem.data
         deviation = data.balanced(data.pv - data.pv[self.counts].mean())
-        explained = self._without_answer() - self.solution.misfit
-        return self.worth() >= EVIDENCE and explained > LEAST_SHOWN * float(deviation @ deviation)
+        return self._without_answer() - self.solution.misfit <= LEAST_SHOWN * float(deviation @ deviation)
 
     def _without_answer(self) -> float:
         """Return the squares that the background leaves alone."""
