@@ -27,7 +27,7 @@ def test_a_name_that_is_none_is_refused(capsys):
 
 def test_hidden_physics_is_named_on_a_few_records_of_the_benchmark(capfd):
     """Some of what `autotuner bench effects` judges: the confusion, the errors before and after, false alarms."""
-    sections = ["--sections", "single", "clean", "--first", "11", "--thin", "90"]
+    sections = ["--sections", "single", "clean", "--first", "11", "--thin", "399"]
     assert main(["bench", "effects", *sections, "--jobs", "1", "--failures"]) == 0
     told = capfd.readouterr().out
     assert "textbook forms" in told

@@ -100,6 +100,7 @@ def test_gains_hold_on_parts_only_where_these_are_of_one_process(recording):
     assert not hold_on_parts(replace(recording, pv=doubled), whole, gains, recording.sample_interval_s)
 
 
+@pytest.mark.long  # the worn valve of the examples (tests/reports) shows the same
 def test_a_record_that_a_named_effect_explains_gets_the_gains_of_the_extended_model(rig, virtual):
     """An actuator that is stuck at 35 and 45: on the relay's record an unstable process looks the same."""
     one = rig(spec=DesignSpec(), device={"effects": [{"effect": "saturation", "low": 35.0, "high": 45.0}]})
@@ -199,6 +200,7 @@ def test_a_model_whose_gain_is_against_the_action_gets_no_gains(recording):
     assert analysis.gains is None
 
 
+@pytest.mark.long  # with the check, the worn valve of the examples (tests/reports) shows the same
 def test_without_the_check_the_diagnosed_process_is_taken_too(rig, virtual):
     """The plain model is bent by the effect, and only what the diagnosis held out says so."""
     one = rig(

@@ -62,7 +62,11 @@ def oscillation(plant):
 
 
 @pytest.mark.parametrize(
-    "plant", [Fopdt(2.0, 10.0, D) for D in (1.0, 10.0, 50.0)] + [SopdtOverdamped(2.0, 10.0, 5.0, 3.0)]
+    "plant",
+    [
+        *(Fopdt(2.0, 10.0, D) for D in (1.0, 10.0, 50.0)),
+        pytest.param(SopdtOverdamped(2.0, 10.0, 5.0, 3.0), marks=pytest.mark.long),
+    ],
 )
 @pytest.mark.parametrize("drift", [pytest.param(-1.0, marks=pytest.mark.long), 0.2, 1.0])
 def test_a_drift_is_followed_and_does_not_touch_the_process(plant, drift):

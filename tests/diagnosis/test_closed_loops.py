@@ -29,7 +29,7 @@ def test_updates_at_even_times_are_found_by_the_answer_to_all_of_them(seed):
     assert answer.effects[0].parameters["period_s"] == pytest.approx(sizes["period_s"], rel=2e-3)
 
 
-@pytest.mark.parametrize("seed", [603, again(593)])
+@pytest.mark.parametrize("seed", [again(603), again(593)])
 def test_steps_of_an_actuator_are_found_though_the_output_has_no_levels(seed):
     answer, sizes = answer_to("output_quantisation:even", seed)
     assert named(answer) == ["output_quantisation"]

@@ -154,6 +154,7 @@ def test_a_curve_without_a_formula_passes_its_knots():
     )
 
 
+@pytest.mark.long  # the next test shows the names of the shapes
 def test_a_load_of_free_shape_is_called_ambient():
     output = steps()
 
@@ -242,6 +243,7 @@ def waves(t):
     return 0.15 * np.sin(np.outer(t, w) + at).sum(axis=1)
 
 
+@pytest.mark.long  # the next test, and the spring under held moves, show its parts
 def test_a_spring_is_named_where_the_output_moves_between_its_samples():
     """Duffing with a damping ratio of 0.05 and nine samples a period, which no grid of starts comes near."""
     output = waves(np.arange(N) * H)

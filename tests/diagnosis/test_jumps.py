@@ -39,6 +39,7 @@ def test_a_wild_reading_is_no_jump():
     assert jump_of(Recording(whole.t, whole.output, pv, settings=whole.settings)) is None
 
 
+@pytest.mark.long  # another pair of effects is in test_effects_are_named
 def test_a_curve_is_found_beside_a_jump_that_hides_it():
     """Without noise: each alone is followed by a dozen other effects as well."""
     found = diagnose(record_of(actuators=[PowerLaw(2.0)], offsets=[BiasStep(AT_S, 0.8)]))

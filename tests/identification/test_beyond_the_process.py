@@ -85,7 +85,7 @@ def test_an_output_before_the_record_that_no_record_shows_is_told(moved):
     ],
     ids=["swings", "steps", "wanders", "goes to and fro"],
 )
-@pytest.mark.parametrize("left", [0.24, pytest.param(0.15, marks=pytest.mark.long), 0.08])
+@pytest.mark.parametrize("left", [*(pytest.param(share, marks=pytest.mark.long) for share in (0.24, 0.15)), 0.08])
 def test_a_fit_of_76_percent_says_what_is_wrong(moved, disturbance, left):
     """`left` is the disturbance as a share of the PV's motion: fits of 76, 85 and 92 % at best."""
     beside = disturbance(moved.t - moved.t[0])

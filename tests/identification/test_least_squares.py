@@ -76,7 +76,7 @@ def bound_of(kind, base, record, sigma):
 
 NOISY = [
     (Fopdt(1.65, 20.0, 10.0), 0.35, 0.05),
-    (SopdtOverdamped(1.0, 10.0, 1.0, 2.0), 0.1, 0.01),
+    pytest.param(SopdtOverdamped(1.0, 10.0, 1.0, 2.0), 0.1, 0.01, marks=pytest.mark.long),
     (SopdtUnderdamped(1.0, 9.0, 2.4, 1.0), 0.1, 0.02),
 ]
 

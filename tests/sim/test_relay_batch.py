@@ -330,6 +330,7 @@ print(json.dumps([row.tolist() for batch in (exact, sampled) for row in (batch.s
         assert np.allclose(ours, theirs, rtol=1e-13, atol=0.0, equal_nan=True)
 
 
+@pytest.mark.long  # a kernel is compiled once more
 def test_where_no_cache_can_be_written_each_process_compiles(tmp_path):
     """Neither the package's folder nor the user's cache takes a file, as in a read-only container."""
     package = shutil.copytree(
