@@ -177,23 +177,27 @@ class Analysis:
 
     def _lacking(self) -> tuple[str, ...]:
         """Return the missing effects of the diagnosis as a sentence with its advice."""
-        if self.diagnosis is None or self.diagnosis.verdict == "adequate":
+        diagnosis = self.diagnosis
+        if diagnosis is None or diagnosis.verdict == "adequate":
             return ()
-        if self._explains_nothing(self.diagnosis) and self.error is not None and self._leaves_little(self.error):
-            return (Note(f"diagnosis: {self.diagnosis.summary}"),)
-        if self.identification.recommended == "diagnosis" and self.diagnosis.disturbances_alone:
-            return (Note(f"diagnosis: {self.diagnosis.summary}; the gains are free of it"),)
-        if (self.gains_hold or self.is_undisturbed) and self.diagnosis.disturbances_alone:
-            return (Note(f"diagnosis: {self.diagnosis.summary}; the gains hold for the process without it"),)
-        if self.diagnosis.disturbances_alone and self._leaves_noise(self.error):
-            return (
-                Note(f"diagnosis: {self.diagnosis.summary}; the model of the gains explains the record without it"),
-            )
-        advice = "; ".join(effect.advice for effect in self.diagnosis.effects if effect.advice)
-        summary = f"diagnosis: {self.diagnosis.summary}" + (f": {advice}" if advice else "")
-        return (
-            Doubt(summary) if self.diagnosis.verdict != "explained" or are_in_the_gains(self.diagnosis) else summary,
-        )
+        summary = f"diagnosis: {diagnosis.summary}"
+        no_action = self._why_no_action(diagnosis)
+        if no_action is not None:
+            return (Note(summary + no_action),)
+        advice = "; ".join(effect.advice for effect in diagnosis.effects if effect.advice)
+        advised = f"{summary}: {advice}" if advice else summary
+        return (Doubt(advised) if diagnosis.verdict != "explained" or are_in_the_gains(diagnosis) else advised,)
+
+    def _why_no_action(self, diagnosis: Diagnosis) -> str | None:
+        """Return why a finding asks for no action, as the end of its sentence; None where it does ask for one."""
+        alone, error = diagnosis.disturbances_alone, self.error
+        reasons = {
+            "": self._explains_nothing(diagnosis) and error is not None and self._leaves_little(error),
+            "; the gains are free of it": alone and self.identification.recommended == "diagnosis",
+            "; the gains hold for the process without it": alone and (self.gains_hold or self.is_undisturbed),
+            "; the model of the gains explains the record without it": alone and self._leaves_noise(error),
+        }
+        return next((reason for reason, holds in reasons.items() if holds), None)
 
     @staticmethod
     def _leaves_noise(error: HeldOut | None) -> bool:
