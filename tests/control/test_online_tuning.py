@@ -42,6 +42,7 @@ async def conducted(loop):
     return tuning
 
 
+@pytest.mark.long  # `reproduce thesis --online` (tests/cli) remakes the row without the registers
 def test_the_online_row_of_the_thesis_over_modbus(virtual):
     """Table 2.1, Kumar et al. (online): T 9.79 (-2.1 %), D 1.995 (-0.25 %), for which no controller is printed.
 

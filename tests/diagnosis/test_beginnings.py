@@ -35,6 +35,7 @@ def test_a_second_heater_is_taken_in_with_its_own_lag():
     assert found.error["held_out"].after < 2.0 * 0.05 < found.error["held_out"].before
 
 
+@pytest.mark.long  # the test above shows a column that is taken in
 def test_a_column_that_explains_is_not_given_up_for_a_guess():
     """Beside the heater a jump of the reading: both are named, whichever was found first."""
     record = two_heaters()

@@ -47,7 +47,9 @@ def fresh(monkeypatch):
     registry.learned_models.cache_clear()
 
 
-@pytest.mark.parametrize("family", ["tree", "linear", pytest.param("forest", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "family", ["linear", *(pytest.param(family, marks=pytest.mark.long) for family in ("tree", "forest"))]
+)
 def test_a_family_is_saved_with_its_range_and_used_again(folders, family, record):
     from autotuner.core.identification.learned.correction import by_learned
     from autotuner_sim import Fopdt
