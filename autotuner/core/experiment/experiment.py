@@ -166,9 +166,10 @@ class Experiment:
             return step
         if process is None or (process.K > 0.0) != self.settings.direct:
             return step
-        averaged_s = RETURN_MEAN * stage.found.cycle.period_s
-        left, interval_s = partial(self._displacement.left, process, averaged_s), self.settings.sample_time_s
-        following = Return(stage.found, left, self.initial_output, sample, interval_s)
+        moved, averaged_s = self._displacement, RETURN_MEAN * stage.found.cycle.period_s
+        loaded = moved.shows_load(process, averaged_s, stage.found.relay.amplitude)
+        left = partial(moved.left, process, averaged_s) if loaded else lambda: moved.impulse
+        following = Return(stage.found, left, self.initial_output, sample, self.settings.sample_time_s)
         return Step(following.output, following=following, segment="return", warning=step.warning)
 
     def _off_the_line(self, stage: Stage, step: Step) -> Step:
