@@ -56,6 +56,9 @@ HIGHER_ORDER = (*N_LAGS, THIRD_ORDER)
 """Structures that are chosen only where they leave nothing but noise: their freedom bends to a saturated sensor or to a
 disturbance as well, which a lower order shows as unexplained."""
 
+NOTHING_LEFT = 3e-3
+"""Residual over the swing of the PV up to which a higher order leaves nothing: without noise no residual is white,
+neither that of a process of a still higher order nor what the search leaves."""
 SMALLEST_GAIN = 4.0
 """Fall of `n ln S` that one more parameter has to promise before it is searched for."""
 
@@ -126,7 +129,7 @@ def choose(
         if candidate is not None and _is_requested(candidate, structure):
             candidates.append(candidate)
     if structure == "auto":
-        candidates = [one for one in candidates if one.structure not in HIGHER_ORDER or one.white]
+        candidates = [one for one in candidates if one.structure not in HIGHER_ORDER or _leaves_nothing(one)]
     return _moments_weighed(ranked(candidates), structure, prior, moments) if candidates else None
 
 
@@ -145,6 +148,11 @@ def _not_run_away(
         return found
     again = fit(data, SECOND_ORDER, prior, resolution, starts_from(single.model, SECOND_ORDER))
     return found if again is None else ranked([found, again]).best
+
+
+def _leaves_nothing(candidate: Candidate) -> bool:
+    """Return whether a structure leaves nothing but noise."""
+    return candidate.white or candidate.rmse <= NOTHING_LEFT * float(np.ptp(candidate.solution.problem.data.pv))
 
 
 def _is_requested(candidate: Candidate, structure: str) -> bool:
