@@ -1,5 +1,6 @@
 import json
 
+import numpy as np
 import pytest
 
 from autotuner.core.design import GOALS, UltimatePoint, apply_rule, tune
@@ -44,6 +45,26 @@ def test_a_named_rule_is_what_is_given():
     found = tune(model, rule="simc-pi", tau_c_s=3.0)
     assert (found.goal, found.rule) == (None, "simc_pi")
     assert found.gains == apply_rule("simc_pi", model, tau_c_s=3.0).gains
+
+
+def largest_sensitivity(gains, K, T, D):
+    """Return Ms of a PI controller on a lag with dead time, by its definition on a dense grid."""
+    w = np.geomspace(1e-3, 1e2, 200_000) / D
+    C, G = gains.Kp * (1.0 + 1.0 / (1j * w * gains.Ti)), K / (1j * w * T + 1.0) * np.exp(-1j * w * D)
+    return float(np.max(1.0 / np.abs(1.0 + C * G)))
+
+
+@pytest.mark.parametrize(("error", "warned"), [(0.05, False), (0.3, True)])
+def test_a_rule_on_an_uncertain_gain_is_warned_of_where_the_loop_suffers(error, warned):
+    """SIMC has Ms 1.59 on its model; the largest gain of the 95 % region decides."""
+    K, T, D = 2.0, 10.0, 2.0
+    found = tune(Fopdt(K, T, D), rule="simc_pi", covariance=np.diag([(error * K) ** 2, 1e-9, 1e-9]))
+    worst = largest_sensitivity(found.gains, K * (1.0 + 1.96 * error), T, D)
+    assert (worst > 2.0) == warned
+    said = [text for text in found.warnings if "95 % region" in text]
+    assert len(said) == warned
+    assert not warned or f"{worst:.2f}" in said[0]
+    assert found.gains == apply_rule("simc_pi", Fopdt(K, T, D)).gains
 
 
 def test_alternatives_carry_their_robustness():

@@ -19,6 +19,7 @@ from autotuner.core.design.loop_margins import margins
 from autotuner.core.design.optimisation.loop_grid import SHORTEST_SHARE, loop_grid
 from autotuner.core.design.optimisation.robust import design
 from autotuner.core.design.optimisation.search import jitter_of
+from autotuner.core.design.optimisation.uncertainty import checked_covariance, worst_models
 from autotuner.core.design.requirements import Requirements, requirements_for
 from autotuner.core.design.rules.tuning_rules import RuleResult, applicable, apply_rule
 from autotuner.core.model.process import sum_of_lags
@@ -94,6 +95,7 @@ def tune(
         chosen, intervals = bench.designed(requirements_for(goal), covariance, tau_c_s)
     else:
         chosen, intervals = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s)), {}
+        notes = (*notes, *bench.concerns_over_region(chosen, covariance))
     return PidDesign(
         goal=_named(goal) if rule is None else None,
         rule=chosen.rule,
@@ -161,6 +163,26 @@ class _Bench:
             return None
         return jitter_of(self.grid, gains, self.noise)
 
+    def _known(self, model: ProcessModel) -> ProcessModel:
+        """Return the process by the parameters that the covariance is of."""
+        return model if self.known_as is None else replace(self.known_as, D=model.D)  # type: ignore[type-var]
+
+    def concerns_over_region(self, chosen: Candidate, covariance: FloatArray | None) -> tuple[str, ...]:
+        """Return a warning where a rule's gains are robust on the model alone: a rule does not allow for its errors."""
+        if self.grid is None or covariance is None or _concerns(chosen):
+            return ()
+        known, limits = self._known(self.grid.model), Requirements(Ms=RISKY_MS, Mt=RISKY_MS)
+        region = worst_models(known, chosen.gains, checked_covariance(known, covariance), self.grid.w, limits)
+        worst = max((margins(model, chosen.gains).Ms or math.inf for model in region), default=1.0)
+        if worst <= RISKY_MS:
+            return ()
+        loop = f"Ms is up to {worst:.2f}" if worst < math.inf else "the loop is unstable in part"
+        text = (
+            f"the record leaves the process uncertain, which a rule does not allow for: over its 95 % region {loop}; "
+            "take the robust design, or repeat the test with the check, longer or at a larger amplitude"
+        )
+        return (text,)
+
     def designed(
         self, requirements: Requirements, covariance: FloatArray | None, tau_c_s: float | None
     ) -> tuple[Candidate, dict[str, Interval]]:
@@ -175,8 +197,7 @@ class _Bench:
             notes = (
                 f"a closed loop of {tau_c_s:g} s needs more than Ms {requirements.Ms:g}; the robust design is given",
             )
-        known = self.model if self.known_as is None else replace(self.known_as, D=self.model.D)  # type: ignore[type-var]
-        found = design(known, requirements, covariance)
+        found = design(self._known(self.model), requirements, covariance)
         finite_iae = found.iae if math.isfinite(found.iae) else None
         title = f"Smallest error within Ms {found.requirements.Ms:g}, Mt {found.requirements.Mt:g}"
         source = "Garpinger and Hagglund, J. Process Control 24, 2014"
