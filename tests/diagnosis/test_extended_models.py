@@ -26,7 +26,7 @@ from autotuner.core.diagnosis.effects.process.textbook_forms import process_effe
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import fit, linearised, without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thinned
-from autotuner.core.diagnosis.extended.intervals import covariance, effect_intervals, process_covariance
+from autotuner.core.diagnosis.extended.intervals import covariance, effect_intervals, process_covariance, whole_gain
 from autotuner.core.diagnosis.extended.repair import without_gaps
 from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
 from autotuner.core.diagnosis.findings.sensor_effects import fitted_to_intervals
@@ -226,6 +226,26 @@ def test_intervals_of_the_gain_hold_beside_a_slow_part_that_hides_in_the_noise()
         half = 1.96 * math.sqrt(process_covariance(context, found)[0, 0])
         missed += abs(found.process().K - PAIR.K) > half
     assert missed <= 6
+
+
+def test_the_gain_beside_a_slow_mode_is_that_of_both_with_its_interval():
+    """Of 20 draws of noise at most 4 may miss the sum of the two simulators' gains; none holds the process's alone."""
+    u, slow = moves(), Fopdt(0.9, 90.0, LAG.D)
+    fast = record(LAG, u)
+    alone = Recording(fast.t, fast.output, fast.pv + record(slow, u).pv)
+    mode = of_form(process_effects(dataset_of(alone), at_the_truth(alone, LAG)), "slow_mode")
+    missed = 0
+    for seed in range(20):
+        recording = noisy(alone, 0.1, seed)
+        truth = at_the_truth(recording, LAG, (mode, (math.log(90.0),)))
+        context = bench_of(truth.problem.dataset)
+        found = fit(replace(truth.problem, rows=context.fine), truth.theta, 6)
+        K, (low, high) = whole_gain(context, found)
+        assert pytest.approx((low + high) / 2.0) == K
+        assert low > LAG.K
+        missed += not low <= LAG.K + slow.K <= high
+    assert missed <= 4
+    assert whole_gain(context, at_the_truth(recording, LAG)) is None
 
 
 def test_a_blurred_size_is_wider_by_its_blur():

@@ -135,11 +135,9 @@ def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Inte
 
 def process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None:
     """Return the covariance of the process parameters, in their order; None for one at its bound."""
-    structure = fitted.problem.structure
 
     def parameters(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
-        shape, D, _ = fitted.problem.split(theta)
-        return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
+        return _parameters(fitted, theta, linear)
 
     try:
         centre = dict(parameters(fitted.theta, fitted.linear))
@@ -153,6 +151,31 @@ def process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None
     for _, _, ends in profiles:
         result = result + _spread_over(parameters, centre, ends)
     return result
+
+
+def _parameters(fitted: Fitted, theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
+    """Return the process parameters at any `theta` and `linear`."""
+    structure = fitted.problem.structure
+    shape, D, _ = fitted.problem.split(theta)
+    return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
+
+
+def whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | None:
+    """Return the gain of a process with the slow mode beside it, and its interval; None without a mode."""
+
+    def whole(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
+        sizes = sizes_at(fitted.problem, theta, linear, fitted.counts)
+        share = next((s["share"] for s in sizes if "share" in s), 0.0)
+        return {"K": _parameters(fitted, theta, linear)["K"] / (1.0 - share)} if share < 1.0 else {}
+
+    if not any("share" in sizes for sizes in fitted.sizes()):
+        return None
+    try:
+        centre = dict(whole(fitted.theta, fitted.linear))
+        half = _delta(whole, centre, fitted, covariance(context, fitted))
+    except (InputError, KeyError):
+        return None
+    return (centre["K"], (centre["K"] - half["K"], centre["K"] + half["K"])) if centre else None
 
 
 def _spread_over(

@@ -11,7 +11,12 @@ import numpy as np
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
-from autotuner.core.diagnosis.extended.intervals import effect_intervals, process_covariance, process_intervals
+from autotuner.core.diagnosis.extended.intervals import (
+    effect_intervals,
+    process_covariance,
+    process_intervals,
+    whole_gain,
+)
 from autotuner.core.diagnosis.findings.advice import remedy, separating
 from autotuner.core.diagnosis.findings.doubts import (
     doubts_about,
@@ -132,7 +137,10 @@ def reported(
         effects=effects,
         runner_up=_runner_up(context, found, effects),
         error=error,
-        model={"before": model_to_dict(before), "after": _model(found, covariance) if kept else model_to_dict(before)},
+        model={
+            "before": model_to_dict(before),
+            "after": _model(context, found, covariance) if kept else model_to_dict(before),
+        },
         gains=gains,
         notes=(*parts.whole.notes, *notes),
         summary=_summary(verdict, effects, error, blind),
@@ -208,12 +216,14 @@ def _is_refuted(held: Misfit) -> bool:
     return held.after > max(held.before, VISIBLE * held.expected)
 
 
-def _model(found: Trace, covariance: FloatArray | None) -> dict[str, object]:
+def _model(context: FitContext, found: Trace, covariance: FloatArray | None) -> dict[str, object]:
     reported: dict[str, object] = dict(model_to_dict(found.chosen.process()))
-    share = next((s["share"] for s in found.chosen.sizes() if "share" in s), None)
-    if share is not None and share < 1.0:
-        reported["K"] = found.chosen.process().K / (1.0 - share)
-    return {**reported, "interval95": process_intervals(found.chosen, covariance)}
+    ends = process_intervals(found.chosen, covariance)
+    whole = whole_gain(context, found.chosen)
+    if whole is not None:
+        reported["K"] = whole[0]
+        ends = {**ends, "K": whole[1]} if ends else ends
+    return {**reported, "interval95": ends}
 
 
 def _effects(context: FitContext, found: Trace) -> tuple[FoundEffect, ...]:
