@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects import catalogue
-from autotuner.core.diagnosis.extended.base import Base, base_of, declared_base
+from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.extended.base import Base, base_of, declared_base, is_the_controller
 from autotuner.core.diagnosis.extended.fit_context import FitContext, bench_of
 from autotuner.core.diagnosis.extended.repair import require_not_swapped, without_gaps
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
@@ -33,7 +34,7 @@ from autotuner.core.diagnosis.search.trace import Trace, trace, with_own_times
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.identification import advice
-from autotuner.core.identification.controller_inverse import controller_of, is_inverse
+from autotuner.core.identification.controller_inverse import controller_of
 from autotuner.core.signals.feedback import process_sign
 from autotuner.core.signals.noise import rms
 from autotuner.errors import RecordingError
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.findings.result import Diagnosis
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.diagnosis.record.sensor import Grid
+    from autotuner.core.identification.controller_inverse import Controller
     from autotuner.core.model.arrays import BoolArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
@@ -124,8 +126,7 @@ def diagnose(
         if again[2].chosen.problem.effects and not _is_off(again[0], again[2]) and _same_sign(base, again[1]):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
-    controller = None if context.dataset.tuned else controller_of(parts.before_test)
-    if any(is_inverse(f.process(), controller, _zero_s(f)) for f in (base.best, found.chosen)):
+    if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
         verdict = advice.controller_instead()
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     return reported(context, found, SensorRecord(spikes, record.stands, record.grid), base, model, parts, requested)
@@ -144,11 +145,12 @@ class _Record:
     smooth: bool = False
     begins: str = ""
     budget: Budget = UNLIMITED
+    controller: Controller | None = None
 
     @classmethod
     def of(cls, used: Recording, model: ProcessModel | None) -> _Record:
         stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
-        return cls(used, model, process_sign(used), stands, grid_of(used.pv))
+        return cls(used, model, process_sign(used), stands, grid_of(used.pv), controller=controller_of(used))
 
     def context(self, spikes: BoolArray | None = None) -> FitContext:
         grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
@@ -156,7 +158,8 @@ class _Record:
         dataset = dataset_of(self.used, left_out, grid_noise, self.tail_share, smooth=self.smooth, begins=self.begins)
         if grid is not None and grid.sends:
             dataset = _of_new_readings(dataset, new_readings(self.used.pv))
-        return bench_of(replace(dataset, budget=self.budget))
+        controller = None if dataset.tuned else self.controller
+        return bench_of(replace(dataset, budget=self.budget, controller=controller))
 
     def based(self, spikes: BoolArray | None = None) -> tuple[FitContext, Base]:
         context = self.context(spikes)
@@ -277,11 +280,6 @@ def _alone(base: Base) -> Fitted:
 def _with_columns(context: FitContext, base: Base) -> Fitted:
     """Return the process with the further columns that help."""
     return with_known(context, base.best, catalogue(base.best, context.coarse)).best
-
-
-def _zero_s(candidate: Fitted) -> float:
-    """Return the zero beside a process, s: `1 - Z s`; 0 where there is none."""
-    return next((sizes["Z"] for sizes in candidate.sizes() if "Z" in sizes), 0.0)
 
 
 def _same_sign(one: Base, other: Base) -> bool:

@@ -23,6 +23,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
 )
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.estimation.initial_guesses import ringing_shapes, scan
+from autotuner.core.identification.controller_inverse import is_inverse
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
 from autotuner.errors import InputError
 
@@ -178,7 +179,11 @@ def _from_scan(context: FitContext, problem: Extended, prior: GainPrior, rows: I
     dataset = context.dataset
     data = replace(dataset.data, t=dataset.data.t[rows], pv=dataset.data.pv[rows], weight=np.ones(rows.size))
     background = ("offset", "drift") if "drift" in problem.background else ("offset",)
-    starts = scan(data, problem.structure, background, prior, _ringing(dataset, problem.structure))[:SCANNED]
+    ringing = _ringing(dataset, problem.structure)
+    starts = scan(data, problem.structure, background, prior, ringing)[:SCANNED]
+    if dataset.in_loop and "state" in problem.background:
+        # A load that was there before the record hides the process that removes it.
+        starts += scan(data, problem.structure, (*background, "state"), prior, ringing)[:1]
     thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
     fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
     return closest_first(f for f in fits if is_physical(f, prior))
@@ -250,8 +255,16 @@ def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
         return False
     if not has_sensible_sizes(candidate) or not candidate.is_meaningful():
         return False
+    if candidate.problem.effects and is_the_controller(candidate):
+        return False
     allowed = prior is None or prior.allows(float(candidate.linear[0]))
     return allowed and math.isfinite(candidate.mean_square)
+
+
+def is_the_controller(candidate: Fitted) -> bool:
+    """Return whether a process, with the zero beside it, is the inverse of the controller that moves the output."""
+    zero_s = next((sizes["Z"] for sizes in candidate.sizes() if "Z" in sizes), 0.0)
+    return is_inverse(candidate.process(), candidate.problem.dataset.controller, zero_s)
 
 
 def has_sensible_sizes(candidate: Fitted) -> bool:

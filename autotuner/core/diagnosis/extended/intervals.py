@@ -112,9 +112,9 @@ def _residual(context: FitContext, fitted: Fitted) -> FloatArray:
 
 def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Interval]]:
     """Return the intervals of the sizes of all effects, in their order."""
-    cov = covariance(context, fitted)
     centre = fitted.sizes()
     profiles = _profiles(context, fitted)
+    cov = covariance(context, fitted, [k for k, *_ in profiles])  # a staircase has no slope of its own
     _, _, values = fitted.problem.split(fitted.theta)
     result = []
     for row, (sizes, effect, p) in enumerate(zip(centre, fitted.problem.effects, values, strict=True)):

@@ -2,9 +2,10 @@
 
 Gains are refused where
 
-1. a gain of the other sign explains the record about as well, or the sign changes with the effects;
-2. the record is not explained, and `identify` refuses it;
-3. the record is not explained, and the model leaves more of the PV's motion than a tuning allows.
+1. the process alone is the inverse of the controller;
+2. a gain of the other sign explains the record about as well, or the sign changes with the effects;
+3. the record is not explained, and `identify` refuses it;
+4. the record is not explained, and the model leaves more of the PV's motion than a tuning allows.
 
 The records of a tuning are judged by the tuning itself, by the same figures.
 """
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.base import is_the_controller
 from autotuner.core.identification.procedure import identify
 from autotuner.core.identification.result import most_unexplained
 
@@ -49,6 +51,8 @@ def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outco
     if verdict == "explained":
         return None
     plain = first.best.process()
+    if is_the_controller(first.best):
+        return "the model without the effects is the inverse of the controller, and not the process"
     if first.other_sign_rms < AS_GOOD * first.best.rms:
         return "a process of the opposite gain explains the record about as well"
     if found.chosen.process().K * plain.K < 0.0:

@@ -24,6 +24,7 @@ from autotuner.core.signals.noise import noise_sigma
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from autotuner.core.identification.controller_inverse import Controller
     from autotuner.core.model.arrays import BoolArray, FloatArray
     from autotuner.core.model.zoh_input import HeldInput
     from autotuner.core.recording import Recording
@@ -91,6 +92,8 @@ class Dataset:
         Ends of the sensor's range as deviation from `pv0`; a PV at one of them is there or beyond.
     budget : Budget
         How long the search may take.
+    controller : Controller or None
+        The controller that moves the output, where the record shows one.
     """
 
     data: Data
@@ -113,6 +116,7 @@ class Dataset:
     smooth: bool = False
     budget: Budget = UNLIMITED
     begins: str = ""
+    controller: Controller | None = None
 
     @property
     def settled_first(self) -> bool:

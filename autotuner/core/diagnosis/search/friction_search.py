@@ -1,13 +1,9 @@
 """Search for friction in the record of a closed loop, together with the process.
 
 A valve that sticks under a controller makes the PV a square wave while the output ramps. No linear process fits
-this, so there is no process alone from which a search for friction could start. Instead
-
-    lag, dead time from a grid of sample intervals;   bands from the output's range;   gain, offset by least squares
-
-and the best few are fitted jointly. When a valve slips depends on its bands in jumps, so that no slope leads to the
-right ones: all around those that were found are tried, beside the process as it then is, first with one lag and then
-with two.
+this, so there is no process alone from which a search for friction could start. Instead all bands are tried beside each
+process of a grid (see `valve_bands`), and the best few are fitted jointly. A valve that slips earlier beside a longer
+dead time looks much alike: bands around those that were found are tried with other dead times too, ever nearer.
 
 A loop cycles about as far as its valve's band. One that its set point moves far shows a smaller band too: such a band
 counts only where it leaves little but noise.
@@ -24,11 +20,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import (
+    LARGEST,
     LARGEST_LEFT,
     SLIPS,
+    SMALLEST,
     SMALLEST_IN_LOOP,
     TURNING,
-    plain_friction,
+    play,
+    sticking,
 )
 from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.effects.waves import lines_of_all, wave_at_the_input
@@ -43,7 +42,8 @@ from autotuner.core.diagnosis.extended.extended_model import (
 )
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import refined, within
+from autotuner.core.diagnosis.search.search import best_on_both_parts, refined, within
+from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -52,18 +52,27 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.model.arrays import FloatArray, IntArray
+    from autotuner.core.model.structures import Structure
 
-LAGS, DELAYS = (0.6, 2.5, 8.0, 20.0), (0.0, 2.0, 6.0)
+LAGS, DELAYS = (2.5, 6.0, 15.0), (1.0, 3.0, 6.0)
 """In sample intervals."""
-FOLLOWED, STEPS = 2, 12
+FOLLOWED, STEPS, FEW_STEPS = 3, 12, 6
+TRAVELS, LEFT = np.geomspace(0.01, 2.0 * LARGEST, 150), np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+"""Travels of the command between two slips that are tried, in swings, and what is left of a band after a slip."""
+APART = 0.04
+"""Least relative distance of two travels that are followed."""
+AROUND = (
+    (0.15, 31, 0.3, 9, (-3.0, -1.5, 0.0, 1.5)),
+    (0.04, 25, 0.1, 9, (-1.0, 0.0, 1.0)),
+    (0.01, 21, 0.02, 9, (0.0,)),
+)
+"""How far around a travel others are tried, as a share of it, and how many; the same for what is left of the band; and
+other dead times, in sample intervals; ever nearer."""
 NEAR = 1.5
 """Error over that of the best explanation up to which friction is named where the valve is seen to stick."""
-AROUND = ((0.15, 15), (0.03, 15), (0.01, 11))
-"""How far around a band others are tried, as a share of it on either side, and how many, ever nearer."""
-AS_FAR = 3
-"""How much farther, as a share of the band, the other number of a form is tried around its own."""
 NEARER = 0.9
-"""Error over that of the process alone from which bands around are not tried."""
+"""Error over that of the process alone up to which bands are followed."""
 WAVE_STEPS = 5
 """Most steps of the optimiser from each period of a wave."""
 SECOND_LAG = 0.3
@@ -89,8 +98,8 @@ def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) ->
     if not (context.dataset.in_loop or seen.sticks) or seen.follows or context.dataset.budget.spent:
         return []
     turning = [e for e in effects if e.group == "friction" and e.form == TURNING]
-    friction = [*plain_friction(context.dataset), *turning]
-    found = [f for effect in within(context.dataset.budget, friction) for f in _beside(context, base, effect)]
+    found = [_turning(context, base, effect) for effect in within(context.dataset.budget, turning)]
+    found += _with_bands(context, base)
     return [f for f in found if is_physical(f) and _is_shown(context, base.best, f)]
 
 
@@ -103,17 +112,106 @@ def _is_shown(context: FitContext, alone: Fitted, candidate: Fitted) -> bool:
     return close and context.held_out_error(candidate) < HALF * context.held_out_error(alone)
 
 
-def _beside(context: FitContext, base: Base, effect: Effect) -> list[Fitted]:
+def _turning(context: FitContext, base: Base, effect: Effect) -> Fitted:
+    """Return the best process of the grid, or beside the free one, with a valve that slips where the output turns."""
     problem = Extended(context.dataset, FOPDT, (effect,), context.screen, base.best.problem.background)
-    interval = context.dataset.data.interval_s
-    grid = product(effect.starts, LAGS, DELAYS)  # the process last: positions are kept for a while
-    thetas = [np.array([math.log(T * interval), D * interval / problem.unit_s, *p]) for p, T, D in grid]
-    ranked = closest_first(fit(problem, theta, 0) for theta in thetas)[:FOLLOWED]
+    grid = product(effect.starts, _processes(context))  # the process last: positions are kept for a while
+    ranked = closest_first(fit(problem, np.array([*process, *p]), 0) for p, process in grid)[:FOLLOWED]
     ranked += closest_first(_beside_the_free(context, base.origins[0], effect))[:FOLLOWED]
     coarse = [fit(replace(f.problem, rows=context.coarse), f.theta, STEPS) for f in ranked]
-    if effect.form != TURNING:
-        coarse = [_in_detail(c) for c in coarse if c.rms < NEARER * base.best.rms]
-    return [refined(context, c) for c in closest_first(coarse)[:1]]
+    return refined(context, closest_first(coarse)[0])
+
+
+def _processes(context: FitContext) -> list[FloatArray]:
+    """Return the processes of the grid, as `theta`."""
+    interval, unit_s = context.dataset.data.interval_s, context.dataset.span_s / 100.0
+    return [np.array([math.log(T * interval), D * interval / unit_s]) for T, D in product(LAGS, DELAYS)]
+
+
+def _with_bands(context: FitContext, base: Base) -> list[Fitted]:
+    """Return processes with a valve that sticks or has play: the closest with wide bands, and with narrow ones."""
+    dataset, background = context.dataset, base.best.problem.background
+    bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, background)
+    alone = [o for o in (base.best, base.origins[0]) if o.problem.structure in (FOPDT, SECOND_ORDER)]
+    processes = [(FOPDT, theta) for theta in _processes(context)]
+    processes += [(o.problem.structure, o.theta) for o in {id(o): o for o in alone}.values()]
+    squares = np.stack([bands.squares(*process) for process in processes])
+    found = []
+    for lane in (bands.bands > SMALLEST_IN_LOOP, bands.bands <= SMALLEST_IN_LOOP, bands.left == 1.0):
+        starts = [
+            _started(context, *processes[n], bands, m, background)
+            for n, m in _apart(bands, np.where(lane & (bands.bands >= SMALLEST), squares, np.inf))
+        ]
+        coarse = [_in_detail(context, c) for c in within(dataset.budget, starts) if c.rms < NEARER * base.best.rms]
+        found += [_as_good_elsewhere(context, refined(context, c)) for c in closest_first(coarse)[:1]]
+    return found
+
+
+def _as_good_elsewhere(context: FitContext, candidate: Fitted) -> Fitted:
+    """Return friction with the bands nearby that are best on both parts: those with the same slips in one are alike."""
+    travel, count, left, lefts, later = AROUND[-1]
+    around = np.linspace(-travel, travel, count), np.linspace(-left, left, lefts)
+    rows = np.union1d(context.coarse, context.held_out)
+    return best_on_both_parts(context, [candidate, *_around(context, candidate, rows, *around, later)])[0]
+
+
+def _apart(bands: Bands, squares: FloatArray) -> list[tuple[int, int]]:
+    """Return process and bands of the smallest squares, at travels that lie apart."""
+    travels, kept = bands.bands * (1.0 + bands.left), dict[int, int]()
+    for m in np.argsort(squares.min(axis=0), kind="stable").tolist():
+        if all(abs(travels[m] / travels[other] - 1.0) > APART for other in kept):
+            kept[m] = int(np.argmin(squares[:, m]))
+        if len(kept) == FOLLOWED:
+            break
+    return [(n, m) for m, n in kept.items()]
+
+
+def _started(
+    context: FitContext, structure: Structure, theta: FloatArray, bands: Bands, m: int, background: tuple[str, ...]
+) -> Fitted:
+    """Return a process of the grid with one of the bands, fitted."""
+    S, f = float(bands.bands[m]), float(bands.left[m])
+    effect, numbers = (play(context.dataset), [2.0 * S]) if f == 1.0 else (sticking(context.dataset), [S, f])
+    problem = Extended(context.dataset, structure, (effect,), context.coarse, background)
+    return fit(problem, np.array([*theta, *numbers]), STEPS)
+
+
+def _in_detail(context: FitContext, candidate: Fitted) -> Fitted:
+    """Return friction with the best of the bands around its own, beside a process of one lag or two."""
+    for travel, count, left, lefts, later in AROUND:
+        around = np.linspace(-travel, travel, count), np.linspace(-left, left, lefts)
+        nearer = _around(context, candidate, candidate.problem.rows, *around, later)
+        candidate = closest_first([candidate, *nearer])[0]
+        lags = len(candidate.problem.structure.shape)
+        pair = candidate.theta if lags > 1 else np.insert(candidate.theta, 1, candidate.theta[0] + math.log(SECOND_LAG))
+        again = fit(replace(candidate.problem, structure=SECOND_ORDER), pair, FEW_STEPS)
+        candidate = again if again.rms < NEARER * candidate.rms else candidate
+    return candidate
+
+
+def _around(
+    context: FitContext,
+    candidate: Fitted,
+    rows: IntArray,
+    travels: FloatArray,
+    left: FloatArray,
+    later: Sequence[float],
+) -> list[Fitted]:
+    """Return friction with the few best of the bands around, by some samples, fitted to those of the candidate."""
+    problem, at = candidate.problem, len(candidate.problem.structure.shape)
+    process, numbers = candidate.theta[: at + 1], candidate.theta[at + 1 :]
+    is_play = numbers.size == 1
+    S, f = (numbers[0] / 2.0, 1.0) if is_play else numbers
+    near = np.ones(1) if is_play else np.unique(np.clip(f + left, 0.0, LARGEST_LEFT))
+    bands = Bands(problem.dataset, *bands_of(S * (1.0 + f) * (1.0 + travels), near), rows, problem.background)
+    sample = context.dataset.data.interval_s / problem.unit_s
+    others = [np.array([*process[:at], max(process[at] + by * sample, 0.0)]) for by in later]
+    squares = np.stack([bands.squares(problem.structure, other) for other in others])
+    tried = []
+    for n, m in np.argwhere(squares <= np.sort(squares, axis=None)[FOLLOWED - 1])[:FOLLOWED].tolist():
+        found = [2.0 * bands.bands[m]] if is_play else [bands.bands[m], bands.left[m]]
+        tried.append(fit(problem, np.array([*others[n], *found]), FEW_STEPS))
+    return tried
 
 
 def that_stick(context: FitContext, accepted: Sequence[Fitted]) -> list[Fitted]:
@@ -134,26 +232,6 @@ def _beside_the_free(context: FitContext, origin: Fitted, effect: Effect) -> lis
         return []
     problem = replace(origin.problem, effects=(effect,), rows=context.screen)
     return [fit(problem, np.array([*origin.theta, *p]), 0) for p in effect.starts]
-
-
-def _in_detail(candidate: Fitted) -> Fitted:
-    """Return friction with the best of the bands around its own, beside a process of one lag or two."""
-    for share, count in AROUND:
-        candidate = _best_around(candidate, share, count)
-        lags = len(candidate.problem.structure.shape)
-        pair = candidate.theta if lags > 1 else np.insert(candidate.theta, 1, candidate.theta[0] + math.log(SECOND_LAG))
-        candidate = fit(replace(candidate.problem, structure=SECOND_ORDER), pair, STEPS)
-    return candidate
-
-
-def _best_around(candidate: Fitted, share: float, count: int) -> Fitted:
-    problem = candidate.problem
-    first = len(problem.structure.shape) + 1
-    around = np.linspace(-share, share, count)
-    band, *left = candidate.theta[first:].tolist()
-    others = [np.clip(value + AS_FAR * around[::2], 0.0, LARGEST_LEFT) for value in left]
-    tried = [np.array([*candidate.theta[:first], *p]) for p in product(band * (1.0 + around), *others)]
-    return closest_first([candidate, *(fit(problem, theta, 0) for theta in tried)])[0]
 
 
 def with_process_friction(context: FitContext, alone: Fitted) -> list[Fitted]:

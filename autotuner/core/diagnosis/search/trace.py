@@ -116,8 +116,8 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, context.coarse, declared)
     steps: list[Fitted] = []
-    beside = [*with_friction(context, base, effects), *with_process_friction(context, base.best)]
-    beside += [*with_less_dead_time(context, base, effects), *with_positions(context, base)]
+    beside, enough = _with_processes(context, base, effects)
+    beams = [] if enough else beams
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(context, best):
             break
@@ -150,6 +150,15 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
+
+
+def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
+    """Return effects that are searched with a process of their own, and whether one of them leaves only noise."""
+    friction = with_friction(context, base, effects)
+    if any(is_noise(context, candidate) for candidate in friction):
+        return friction, True
+    others = [*with_process_friction(context, base.best), *with_less_dead_time(context, base, effects)]
+    return [*friction, *others, *with_positions(context, base)], False
 
 
 def _in_place_of_flow(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:

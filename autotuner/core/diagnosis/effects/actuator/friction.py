@@ -53,8 +53,6 @@ BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
 ALL = 1.0
 """Largest band where the valve is seen to stick: in a slow loop it slips once in a record."""
 LEFT = (0.0, 0.5)
-BANDS_IN_LOOP, LEFT_IN_LOOP = (*BANDS, 0.05, 0.085, 0.12, 0.16, 0.22, 0.29, 0.37, 0.48), (0.0, 0.2, 0.45)
-"""Starts where a controller moves the output: what its valve does to that is known at no level of it."""
 LARGEST_LEFT = 0.9
 """Most of a band that may be left."""
 TURNING = "turning"
@@ -91,32 +89,19 @@ def friction_effects(dataset: Dataset) -> tuple[Effect, ...]:
         group="friction",
         price=2.0,
     )
-    play = _play(dataset, least, PLAYS)
-    sticking = _sticking(
-        dataset, least, [(band, left) for band in (*_bands(dataset), *_waited(dataset)) for left in LEFT]
-    )
+    bands = [*_bands(dataset), *(travel / swing for travel in waiting_of(dataset).travels)]
     return (
-        play,
+        play(dataset, least, PLAYS),
         seated,
-        sticking,
+        sticking(dataset, least, list(product(bands, LEFT))),
         uneven,
         *((_slipping(dataset, least),) if dataset.tuned else ()),
         *((_turning(dataset),) if dataset.in_loop or waiting_of(dataset).sticks else ()),
     )
 
 
-def _waited(dataset: Dataset) -> list[float]:
-    """Return how far the output moves while the PV waits, in swings."""
-    return [travel / dataset.swing for travel in waiting_of(dataset).travels]
-
-
-def plain_friction(dataset: Dataset) -> tuple[Effect, ...]:
-    """Return play and sticking with the starts of a loop, the smallest bands among them."""
-    starts = list(product((*BANDS_IN_LOOP, *_waited(dataset)), LEFT_IN_LOOP))
-    return _play(dataset, SMALLEST, BANDS_IN_LOOP), _sticking(dataset, SMALLEST, starts)
-
-
-def _play(dataset: Dataset, least: float, widths: Sequence[float]) -> Effect:
+def play(dataset: Dataset, least: float = SMALLEST, widths: Sequence[float] = ()) -> Effect:
+    """Return plain play."""
     swing = dataset.swing
     return Effect(
         "backlash",
@@ -130,7 +115,8 @@ def _play(dataset: Dataset, least: float, widths: Sequence[float]) -> Effect:
     )
 
 
-def _sticking(dataset: Dataset, least: float, starts: Sequence[tuple[float, float]]) -> Effect:
+def sticking(dataset: Dataset, least: float = SMALLEST, starts: Sequence[tuple[float, float]] = ()) -> Effect:
+    """Return sticking of two bands."""
     swing = dataset.swing
     largest = ALL if waiting_of(dataset).sticks else LARGEST
     return Effect(
