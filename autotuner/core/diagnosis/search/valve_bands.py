@@ -24,13 +24,15 @@ from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
-    from autotuner.core.model.arrays import FloatArray, IntArray
+    from autotuner.core.model.arrays import ComplexArray, FloatArray, IntArray
     from autotuner.core.model.structures import Structure
 
 MOST_SAMPLES = 2000
 """Most samples of the even grid: the positions are a matrix of that many columns."""
 STEP = 1e-3
 """Change of a logarithm of a lag, and of a dead time in units of the problem, for slopes."""
+AT_ONCE = 100
+"""Positions whose answers are in memory at once: some 10 MB."""
 RIDGE = 1e-9
 """Regularisation of the normal equations for dependent columns."""
 
@@ -59,26 +61,28 @@ class Bands:
 
     def squares(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """Return the squares that are left with each position if the process may move along its tangent, shape (M,)."""
-        answers = np.fft.irfft(self._spectra[:, None] * self._pulses(structure, theta), self._size)[..., self._at]
-        own, target = self._beside_background(structure, theta, answers)
+        pulses = self._pulses(structure, theta)
+        alone = Extended(self.dataset, structure, (), self.rows, self.background)
+        basis = scipy.linalg.orth(alone.columns(theta, self.rows)[0][:, structure.gains :])
+        pv = self.dataset.data.pv[self.rows]
+        target = pv - basis @ (basis.T @ pv)
+        parts = range(0, self.bands.size, AT_ONCE)
+        falls = [self._fall(pulses, self._spectra[k : k + AT_ONCE], basis, target) for k in parts]
+        result: FloatArray = float(target @ target) - np.concatenate(falls)
+        return result
+
+    def _fall(self, pulses: ComplexArray, spectra: ComplexArray, basis: FloatArray, target: FloatArray) -> FloatArray:
+        """Return by how much the answers to some positions lessen the squares of the target, shape (m,)."""
+        answers = np.fft.irfft(spectra[:, None] * pulses, self._size)[..., self._at]
+        own = answers - (answers @ basis) @ basis.T
         gram = own @ own.transpose(0, 2, 1)
         size = np.maximum(np.sqrt(np.einsum("mii->mi", gram)), SMALLEST_DIVISOR)
         gram = gram / size[:, :, None] / size[:, None, :] + RIDGE * np.eye(gram.shape[1])
         moment = own @ target / size
-        fall = np.einsum("mi,mi->m", moment, np.linalg.solve(gram, moment[..., None])[..., 0])
-        result: FloatArray = float(target @ target) - fall
-        return result
+        fall: FloatArray = np.einsum("mi,mi->m", moment, np.linalg.solve(gram, moment[..., None])[..., 0])
+        return fall
 
-    def _beside_background(
-        self, structure: Structure, theta: FloatArray, answers: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return answers and PV without what the background explains of them."""
-        alone = Extended(self.dataset, structure, (), self.rows, self.background)
-        basis = scipy.linalg.orth(alone.columns(theta, self.rows)[0][:, structure.gains :])
-        pv = self.dataset.data.pv[self.rows]
-        return answers - (answers @ basis) @ basis.T, pv - basis @ (basis.T @ pv)
-
-    def _pulses(self, structure: Structure, theta: FloatArray) -> FloatArray:
+    def _pulses(self, structure: Structure, theta: FloatArray) -> ComplexArray:
         """Return the spectra of the answer to a pulse and of its slopes, shape (1 + count, F)."""
         problem = Extended(self.dataset, structure, (), self.rows, self.background)
         grid = replace(self.dataset, data=replace(self.dataset.data, t=self._t))
@@ -89,7 +93,8 @@ class Bands:
             on_grid.view(theta + STEP * direction, everywhere).forced(pulse)
             for direction in (np.zeros(theta.size), *np.eye(theta.size))
         )
-        return np.fft.rfft(np.stack((at, *((m - at) / STEP for m in moved))), self._size)
+        spectra: ComplexArray = np.fft.rfft(np.stack((at, *((m - at) / STEP for m in moved))), self._size)
+        return spectra
 
     @cached_property
     def _t(self) -> FloatArray:
@@ -110,9 +115,9 @@ class Bands:
         return size
 
     @cached_property
-    def _spectra(self) -> FloatArray:
+    def _spectra(self) -> ComplexArray:
         levels = self.dataset.data.held.at(self._t) / self.dataset.swing
-        spectra: FloatArray = np.fft.rfft(positions(levels, self.bands, self.left * self.bands), self._size)
+        spectra: ComplexArray = np.fft.rfft(positions(levels, self.bands, self.left * self.bands), self._size)
         return spectra
 
 
