@@ -137,7 +137,8 @@ def _with_bands(context: FitContext, base: Base) -> list[Fitted]:
     processes += [(o.problem.structure, o.theta) for o in {id(o): o for o in alone}.values()]
     squares = np.stack([bands.squares(*process) for process in processes])
     found = []
-    for lane in (bands.bands > SMALLEST_IN_LOOP, bands.bands <= SMALLEST_IN_LOOP, bands.left == 1.0):
+    wide, plays = bands.bands > SMALLEST_IN_LOOP, bands.left == 1.0
+    for lane in (wide & ~plays, ~wide, plays):
         starts = [
             _started(context, *processes[n], bands, m, background)
             for n, m in _apart(bands, np.where(lane & (bands.bands >= SMALLEST), squares, np.inf))
