@@ -76,6 +76,17 @@ def test_limits_hold_for_any_process(stable_models, data):
     assert found.warnings == ()
 
 
+def test_a_peak_between_two_frequencies_of_the_grid_keeps_the_limit():
+    """Of a process that rings, beside a dead time: the sensitivity has a peak that is narrower than the grid."""
+    model = SopdtUnderdamped(1.0, 10.75**2, 2.0 * 0.95 * 0.125 * 10.75, 9.0)
+    gains = design(model, Requirements(Ms=2.0, Mt=2.0)).gains
+    jw = 1j * np.linspace(0.1, 0.12, 200_001)
+    measured = 1.0 / (1.0 + gains.Tf * jw * (1.0 + gains.Tf * jw / 2.0))
+    controller = gains.Kp * (1.0 + 1.0 / (gains.Ti * jw) + gains.Td * jw) * measured
+    process = model.K * np.exp(-model.D * jw) / (model.m * jw**2 + model.n * jw + 1.0)
+    assert np.max(1.0 / np.abs(1.0 + controller * process)) <= 2.0
+
+
 @pytest.mark.parametrize("model", [*PROCESSES.values(), *OTHERS], ids=str)
 def test_no_controller_near_it_is_better_inside_the_limits(model):
     found = design(model)

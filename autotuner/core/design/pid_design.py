@@ -95,14 +95,13 @@ def tune(
         chosen, intervals = bench.designed(requirements_for(goal), covariance, tau_c_s)
     else:
         chosen, intervals = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s)), {}
-        notes = (*notes, *bench.concerns_over_region(chosen, covariance))
     return PidDesign(
         goal=_named(goal) if rule is None else None,
         rule=chosen.rule,
         gains=chosen.gains,
         margins=chosen.margins,
         alternatives=alternatives,
-        warnings=(*notes, *chosen.warnings, *_concerns(chosen)),
+        warnings=(*notes, *bench.concerns_over_region(chosen, covariance), *chosen.warnings, *_concerns(chosen)),
         iae=chosen.iae,
         overshoot=chosen.overshoot,
         intervals=intervals,
@@ -169,7 +168,7 @@ class _Bench:
 
     def concerns_over_region(self, chosen: Candidate, covariance: FloatArray | None) -> tuple[str, ...]:
         """Return a warning where a rule's gains are robust on the model alone: a rule does not allow for its errors."""
-        if self.grid is None or covariance is None or _concerns(chosen):
+        if self.grid is None or covariance is None or chosen.rule == ROBUST or _concerns(chosen):
             return ()
         known, limits = self._known(self.grid.model), Requirements(Ms=RISKY_MS, Mt=RISKY_MS)
         region = worst_models(known, chosen.gains, checked_covariance(known, covariance), self.grid.w, limits)

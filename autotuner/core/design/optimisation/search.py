@@ -128,10 +128,10 @@ class Search:
         if excess(k) <= 0.0:
             return k
         quiet = float(scipy.optimize.brentq(excess, 0.0, k, xtol=1e-5 * k, rtol=1e-4))
-        return quiet if quiet > 0.0 and self._keeps(quiet, unit) else None
+        return quiet if quiet > 0.0 and self.keeps(quiet * unit * self.responses) else None
 
-    def _keeps(self, k: float, unit: ComplexArray) -> bool:
-        loop = k * unit * self.responses
+    def keeps(self, loop: ComplexArray) -> bool:
+        """Return whether loops keep the limits of both sensitivities."""
         distance = np.abs(1.0 + loop)
         return bool(np.all(distance * self.Ms >= 1.0) and np.all(np.abs(loop) <= self.Mt * distance))
 
@@ -189,6 +189,8 @@ WORTH_A_DERIVATIVE = 0.99
 """Error of PID over that of PI above which derivative action is omitted."""
 CHECK_STEP_RAD = 0.03
 """Steps of the dead time's phase in the last check, where the peaks of a sensitivity are narrow."""
+PEAK_POINTS = 41
+"""Frequencies of the last check from one neighbour of a peak to the other: a peak is then known to 1e-5."""
 CHECK_RESERVE = 0.999
 """Reserve of the last check, as a share of `M - 1`, for peaks between its frequencies."""
 
@@ -314,7 +316,23 @@ def _checked(search: Search, shape: PidGains) -> PidGains | None:
     if rough is None:
         return None
     w = frequency_grid(search.grid.model, rough, CHECK_STEP_RAD)
+    gains = _on(search, w).gains_at(shape) or rough
+    finer = _on(search, _with_peaks(search.grid.model, gains, w))
+    if not finer.keeps(controller_response(gains, finer.grid.w) * finer.responses):
+        gains = finer.gains_at(shape) or gains
+    return gains if finer.stabilises_all(gains) else None
+
+
+def _with_peaks(model: ProcessModel, gains: PidGains, w: FloatArray) -> FloatArray:
+    """Return the frequencies with more of them around the largest of either sensitivity, where a peak is narrow."""
+    loop = controller_response(gains, w) * frequency_response(model, w)
+    distance = np.abs(1.0 + loop)
+    largest = {int(np.argmin(distance)), int(np.argmax(np.abs(loop) / distance))}
+    around = [np.linspace(w[max(k - 1, 0)], w[min(k + 1, w.size - 1)], PEAK_POINTS) for k in largest]
+    return np.unique(np.concatenate((w, *around)))
+
+
+def _on(search: Search, w: FloatArray) -> Search:
+    """Return the problem of the last check on a grid of its own."""
     fine = replace(search.grid, w=w, process=frequency_response(search.grid.model, w))
-    last = Search(fine, search.models[1:], search.requirements, CHECK_RESERVE)
-    gains = last.gains_at(shape) or rough
-    return gains if last.stabilises_all(gains) else None
+    return Search(fine, search.models[1:], search.requirements, CHECK_RESERVE)
