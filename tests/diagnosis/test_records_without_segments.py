@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
+from benchmarks.accuracy.diagnosis.independent import Case, record_of
 
 PARTS = 40
 """Steps of Euler's method in a sample interval."""
@@ -132,6 +133,16 @@ def test_a_wave_that_begins_within_the_record_is_named():
     answer = diagnose(recorded(output, integrated(output, straight) + wave))
     assert [(e.name, e.form) for e in answer.effects] == [("periodic_disturbance", "begins")]
     assert answer.effects[0].parameters["from_s"] == pytest.approx(230.0, abs=10.0)
+
+
+@pytest.mark.long
+def test_a_limit_and_a_drift_are_both_named():
+    """A load of free shape follows the two closely: of the single effects it is the best, and it hides the limit."""
+    hidden = record_of(Case("saturation:hard + drift:straight", 593, "steps"))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    assert answer.verdict == "explained"
+    assert {e.name for e in answer.effects} == {"saturation", "drift"}
+    assert answer.error["held_out"].after < 1.3 * hidden.sigma < answer.error["held_out"].before / 20.0
 
 
 def test_unequal_rates_of_an_actuator_are_found():

@@ -115,6 +115,7 @@ def reported(
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
+    described = model_to_dict(before)
     alone = Known(before, process_covariance(context, found.alone) if model is None else None)
     after = Known(found.chosen.process(), covariance) if kept else alone
     blind = blind_spots(context, found.chosen, found.noise)
@@ -137,10 +138,7 @@ def reported(
         effects=effects,
         runner_up=_runner_up(context, found, effects),
         error=error,
-        model={
-            "before": model_to_dict(before),
-            "after": _model(context, found, covariance) if kept else model_to_dict(before),
-        },
+        model={"before": described, "after": _model(context, found, covariance) if kept else described},
         gains=gains,
         notes=(*parts.whole.notes, *notes),
         summary=_summary(verdict, effects, error, blind),

@@ -45,19 +45,28 @@ SAME = 1.02
 
 def extend(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the bases with one effect more, the most promising fitted on all samples, the best first."""
+    return finished(context, sketched(context, bases, effects))
+
+
+def sketched(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the bases with one effect more after a few steps, each effect once, the best first."""
     budget = context.dataset.budget
-    to_quick, to_coarse, to_fine = FURTHER if bases[0].problem.effects else FIRST
     tangents = [tangent_of(context, base) for base in bases]
     rows = [starts for effect in within(budget, effects) if (starts := screened(context, tangents, effect))]
-    rows = without_rounding(rows, lambda starts: starts[0].score)[:to_quick]
-    quick = [
+    rows = without_rounding(rows, lambda starts: starts[0].score)[: (FURTHER if bases[0].problem.effects else FIRST)[0]]
+    return closest_first(
         closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
         for of in within(budget, rows)
-    ]
-    coarse = [
-        _again(context.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS)
-        for c in within(budget, closest_first(quick)[:to_coarse])
-    ]
+    )
+
+
+def finished(context: FitContext, quick: Sequence[Fitted]) -> list[Fitted]:
+    """Return the most promising of these fitted on all samples, the best first."""
+    budget = context.dataset.budget
+    first = all(len(c.problem.effects) < 2 for c in quick)
+    _, to_coarse, to_fine = FIRST if first else FURTHER
+    several = quick if first else _of_many_names(quick)
+    coarse = [_again(context.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in within(budget, several[:to_coarse])]
     fine = [refined(context, c) for c in within(budget, _of_many_names(closest_first(coarse))[:to_fine])]
     return [c for c in closest_first(fine) if is_physical(c)]
 

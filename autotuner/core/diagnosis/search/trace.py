@@ -19,6 +19,7 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_eve
 from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
@@ -34,7 +35,16 @@ from autotuner.core.diagnosis.search.judge import (
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.position_search import with_positions
-from autotuner.core.diagnosis.search.search import at_the_input, best_on_both_parts, better_of, extend, within, without
+from autotuner.core.diagnosis.search.search import (
+    at_the_input,
+    best_on_both_parts,
+    better_of,
+    extend,
+    finished,
+    sketched,
+    within,
+    without,
+)
 from autotuner.core.diagnosis.search.simplify import (
     simplest,
     with_best_moment,
@@ -71,6 +81,8 @@ FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
+POOLED = 3
+"""Single effects of a place that are extended together: each further effect takes the best of all."""
 TRIED, TRIED_ELSEWHERE = 4, 8
 """Number of explanations of which the best accepted one is used: on a tuning's record by the criterion, elsewhere,
 with few independent samples, by both parts of the record."""
@@ -121,8 +133,8 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(context, best):
             break
-        found = [*beside, *(candidate for beam in beams for candidate in extend(context, beam, effects))]
-        found = closest_first(found)
+        sketches = [sketched(context, beam, effects) for beam in beams]
+        found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
         if not found:
             break
         pool += found
@@ -135,9 +147,10 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
             break
         beside = with_wave(context, best) if accepted else []
-        carried = _distinct(found)[:BEAM] if context.dataset.tuned else [best]
         jumped = _with_jump(context, base, effects) if len(steps) == 1 else []
-        beams = [[at_the_input(context, explanation)] for explanation in [*carried, *jumped]]
+        beams = [
+            [at_the_input(context, c) for c in beam] for beam in [*_carried(context, best, found, sketches), *jumped]
+        ]
     best, curved = _with_free_curve(context, base, best, declared)
     best, late = _with_uneven_updates(context, base, best)
     pool += [*curved, *late]
@@ -171,14 +184,30 @@ def _how_far(context: FitContext, best: Fitted) -> str:
     return f"best so far {names}: {best.rms / max(noise_of(context, best), SMALLEST_DIVISOR):.1f} times the noise"
 
 
-def _with_jump(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+def _with_jump(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[list[Fitted]]:
     """Return the process with an obvious jump in an experiment; further effects are searched with it."""
     at_s = plain_jump(context.dataset) if context.dataset.tuned else None
     jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
     if at_s is None or jump is None:
         return []
     at_it = [replace(jump, starts=[(at_s / context.dataset.span_s,)])]
-    return [c for origin in base.origins for c in extend(context, [origin], at_it)]
+    return [[c] for origin in base.origins for c in extend(context, [origin], at_it)]
+
+
+def _carried(
+    context: FitContext, best: Fitted, found: Sequence[Fitted], sketches: Sequence[Sequence[Fitted]]
+) -> list[list[Fitted]]:
+    """Return the explanations that are extended next, in groups that compete for every further effect.
+
+    Elsewhere than in an experiment, one effect in a free form follows two others closely, and hides both: single
+    effects of every place are extended beside it.
+    """
+    if context.dataset.tuned:
+        return [[c] for c in _distinct(found)[:BEAM]]
+    single = _distinct(closest_first(c for of in sketches for c in of if len(c.names) == 1 and is_physical(c)))
+    places = [[c for c in single if c.problem.effects[0].place is place and c.names != best.names] for place in Place]
+    others = [c for of in places for c in of[:POOLED]]
+    return [*([[best]] if best.problem.effects or not others else []), *([others] if others else [])]
 
 
 def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
@@ -370,7 +399,8 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
         ) < context.criterion(before, inflated)
     if not is_supported(weigh(context, before, after), first=first, seen_held_out=seen):
         return False
-    return first or weighs_enough(context, base.best, before, after)
+    instead = not context.dataset.tuned and not set(before.names) <= set(after.names)  # no mend of the first one's form
+    return first or instead or weighs_enough(context, base.best, before, after)
 
 
 def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
