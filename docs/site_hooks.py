@@ -37,9 +37,12 @@ def source_hash(source: str) -> str:
 def outside(page: str, target: str) -> str | None:
     """Return the file of the repository that a link of a page leads to; nothing where it is no such file.
 
-    Args:
-        page: Path of the page, relative to the folder of the pages.
-        target: Target of the link, as the page has it.
+    Parameters
+    ----------
+    page : str
+        Path of the page, relative to the folder of the pages.
+    target : str
+        Target of the link, as the page has it.
     """
     path = (DOCS / page).parent.joinpath(target).resolve()
     is_outside = path.is_file() and path.is_relative_to(DOCS.parent) and not path.is_relative_to(DOCS)
@@ -49,8 +52,10 @@ def outside(page: str, target: str) -> str | None:
 def linked_files(texts: dict[str, str]) -> set[str]:
     """Return the files of the repository that pages link to, and what those link to that are pages themselves.
 
-    Args:
-        texts: Text of each page by its path, relative to the folder of the pages.
+    Parameters
+    ----------
+    texts : dict of str to str
+        Text of each page by its path, relative to the folder of the pages.
     """
     files: set[str] = set()
     while texts:
@@ -79,5 +84,5 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         file = None if path.parts[0] == REPOSITORY else outside(str(path), link[0])
         return link[0] if file is None else os.path.relpath(f"{REPOSITORY}/{file}", path.parent)
 
-    place = "../" * (len(path.parts) - 1) + picture_of(path.stem)
+    place = os.path.relpath(picture_of(path.stem), path.parent)
     return DIAGRAM.sub(f"![Diagram]({place})", LINK.sub(inside, markdown))

@@ -67,12 +67,8 @@ def recorded(rule=None):
     return tuning
 
 
-def without_diagnosis(recording, *others):
-    return procedure.identified(recording, *others)
-
-
 def test_the_interval_of_the_gain_holds_it_and_the_experiment_is_that_of_any_tuning(monkeypatch):
-    monkeypatch.setattr(procedure, "analyse", without_diagnosis)
+    monkeypatch.setattr(procedure, "analyse", procedure.identified)
     by_rule, usual = recorded("simc_pi"), recorded()
     assert [(s.t, s.pv, s.output) for s in by_rule.samples] == [(s.t, s.pv, s.output) for s in usual.samples]
     found = by_rule.analysis.identification

@@ -263,8 +263,11 @@ def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
 
 def is_the_controller(candidate: Fitted) -> bool:
     """Return whether a process, with the zero beside it, is the inverse of the controller that moves the output."""
+    controller = candidate.problem.dataset.controller
+    if controller is None:
+        return False
     zero_s = next((sizes["Z"] for sizes in candidate.sizes() if "Z" in sizes), 0.0)
-    return is_inverse(candidate.process(), candidate.problem.dataset.controller, zero_s)
+    return is_inverse(candidate.process(), controller, zero_s)
 
 
 def has_sensible_sizes(candidate: Fitted) -> bool:

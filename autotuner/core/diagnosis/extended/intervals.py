@@ -23,7 +23,7 @@ The process beside such a number `s` has what its covariance is with `s` held, a
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -135,10 +135,7 @@ def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Inte
 
 def process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None:
     """Return the covariance of the process parameters, in their order; None for one at its bound."""
-
-    def parameters(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
-        return _parameters(fitted, theta, linear)
-
+    parameters = partial(_parameters, fitted)
     try:
         centre = dict(parameters(fitted.theta, fitted.linear))
         profiles = _profiles(context, fitted)

@@ -115,17 +115,17 @@ def _is_shown(context: FitContext, alone: Fitted, candidate: Fitted) -> bool:
 def _turning(context: FitContext, base: Base, effect: Effect) -> Fitted:
     """Return the best process of the grid, or beside the free one, with a valve that slips where the output turns."""
     problem = Extended(context.dataset, FOPDT, (effect,), context.screen, base.best.problem.background)
-    grid = product(effect.starts, _processes(context))  # the process last: positions are kept for a while
+    grid = product(effect.starts, _processes(problem))  # the process last: positions are kept for a while
     ranked = closest_first(fit(problem, np.array([*process, *p]), 0) for p, process in grid)[:FOLLOWED]
     ranked += closest_first(_beside_the_free(context, base.origins[0], effect))[:FOLLOWED]
     coarse = [fit(replace(f.problem, rows=context.coarse), f.theta, STEPS) for f in ranked]
     return refined(context, closest_first(coarse)[0])
 
 
-def _processes(context: FitContext) -> list[FloatArray]:
+def _processes(problem: Extended) -> list[FloatArray]:
     """Return the processes of the grid, as `theta`."""
-    interval, unit_s = context.dataset.data.interval_s, context.dataset.span_s / 100.0
-    return [np.array([math.log(T * interval), D * interval / unit_s]) for T, D in product(LAGS, DELAYS)]
+    interval = problem.dataset.data.interval_s
+    return [np.array([math.log(T * interval), D * interval / problem.unit_s]) for T, D in product(LAGS, DELAYS)]
 
 
 def _with_bands(context: FitContext, base: Base) -> list[Fitted]:
@@ -133,7 +133,7 @@ def _with_bands(context: FitContext, base: Base) -> list[Fitted]:
     dataset, background = context.dataset, base.best.problem.background
     bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, background)
     alone = [o for o in (base.best, base.origins[0]) if o.problem.structure in (FOPDT, SECOND_ORDER)]
-    processes = [(FOPDT, theta) for theta in _processes(context)]
+    processes = [(FOPDT, theta) for theta in _processes(base.best.problem)]
     processes += [(o.problem.structure, o.theta) for o in {id(o): o for o in alone}.values()]
     squares = np.stack([bands.squares(*process) for process in processes])
     found = []

@@ -207,7 +207,8 @@ def _carried(
     single = _distinct(closest_first(c for of in sketches for c in of if len(c.names) == 1 and is_physical(c)))
     places = [[c for c in single if c.problem.effects[0].place is place and c.names != best.names] for place in Place]
     others = [c for of in places for c in of[:POOLED]]
-    return [*([[best]] if best.problem.effects or not others else []), *([others] if others else [])]
+    groups = [[best]] if best.problem.effects or not others else []
+    return [*groups, others] if others else groups
 
 
 def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
