@@ -48,14 +48,14 @@ def recorded(output, pv, sigma, seed=1):
 def test_the_course_with_dry_friction_is_that_of_a_general_solver(ratio, first):
     """A smooth, steep friction law stands for the jump of the sign. Viscous friction: `ratio` up over down."""
     force = [2.0, -1.0, 0.3, 0.05, -2.0, 0.0]
-    velocity, position = _course([1.5] * len(force), force, 0.8, _Axis(0.4, math.log(ratio), first))
+    at = np.arange(len(force) + 1) * 1.5
+    velocity, position = _course(at[:-1], np.array(force), 0.8, _Axis(0.4, math.log(ratio), first), at)
 
     def f(t, x):
         u = force[min(int(t / 1.5), len(force) - 1)]
         viscous = math.sqrt(ratio if x[0] > 0.0 else 1.0 / ratio)
         return [(u - 0.4 * math.tanh(x[0] / 1e-4) - viscous * x[0]) / 0.8, x[0]]
 
-    at = np.arange(len(force) + 1) * 1.5
     how = {"method": "LSODA", "max_step": 0.002, "rtol": 1e-8}
     found = scipy.integrate.solve_ivp(f, (0.0, at[-1]), [first, 0.0], t_eval=at, **how)
     np.testing.assert_allclose(velocity, found.y[0], atol=2e-3)

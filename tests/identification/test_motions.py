@@ -142,5 +142,5 @@ def test_recurrences_equal_their_loops(rows):
         y.append(b)
     scale = 1.0 + np.abs(y).max()
     assert accumulate(p00, g0) == pytest.approx(np.array(x), rel=1e-9, abs=1e-9 * scale)
-    pair = accumulate_states(np.array(rows)[:, :4].reshape(-1, 2, 2), np.array(rows)[:, 4:])
+    pair = accumulate_states(np.array(rows)[:, :4].T.reshape(2, 2, -1), np.array(rows)[:, 4:])
     assert pair == pytest.approx(np.array(y), rel=1e-9, abs=1e-9 * scale)

@@ -83,8 +83,8 @@ class Pair:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response (and its slope), and their slopes."""
         between = held.spans_s
-        P = np.stack(self.transition(between), axis=-1).reshape(-1, 2, 2)
-        off = accumulate_states(P, np.column_stack((-held.steps, np.zeros_like(between))))
+        p00, p01, p10, p11 = self.transition(between)
+        off = accumulate_states(((p00, p01), (p10, p11)), np.outer(held.steps, (-1.0, 0.0)))
         index, since = held.locate(when)
         p00, p01, p10, p11 = self.transition(since)
         z, slope = off[index, 0], off[index, 1]
@@ -137,9 +137,9 @@ class EqualLags:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response and its slope."""
         terms = self._terms(held.spans_s)
-        P = np.zeros((held.times.size, self.n, self.n))
+        P = np.zeros((self.n, self.n, held.times.size))
         for row, column in itertools.combinations_with_replacement(range(self.n), 2):
-            P[:, column, row] = terms[column - row]
+            P[column, row] = terms[column - row]
         off = accumulate_states(P, np.repeat(-held.steps[:, None], self.n, axis=1))
         index, since = held.locate(when)
         terms = self._terms(since)
@@ -179,9 +179,8 @@ class PairAndLag:
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response and its slope."""
-        P = np.stack(self._transition(held.spans_s), axis=-1)
-        P = np.stack((P[:, :3], P[:, 3:6], P[:, 6:]), axis=1)
-        off = accumulate_states(P, -held.steps[:, None] * np.array([1.0, 0.0, 1.0]))
+        P = self._transition(held.spans_s)
+        off = accumulate_states((P[:3], P[3:6], P[6:]), np.outer(held.steps, (-1.0, 0.0, -1.0)))
         index, since = held.locate(when)
         p00, p01, _, _, _, _, q0, q1, q2 = self._transition(since)
         z, slope, lagged = off[index, 0], off[index, 1], off[index, 2]

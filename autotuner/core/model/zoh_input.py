@@ -12,11 +12,15 @@ thousands of samples has ten changes, and the cost of a response grows with the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from autotuner.core.model.arrays import FloatArray, IntArray  # noqa: TC001 - part of the public signature
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,13 +116,13 @@ def accumulate(p: FloatArray, g: FloatArray) -> FloatArray:
     return result
 
 
-def accumulate_states(P: FloatArray, g: FloatArray) -> FloatArray:
-    """Return `x_k = P_k x_{k-1} + g_k`, `x_{-1} = 0`, with states of any size; `P[0]` does not count.
+def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatArray) -> FloatArray:
+    """Return `x_k = P_k x_{k-1} + g_k`, `x_{-1} = 0`, with states of any size; `P_0` does not count.
 
     Parameters
     ----------
-    P : array of float, shape (C, S, S)
-        Transitions.
+    P : rows of S arrays of float, shape (C,)
+        Transitions: each entry of the matrix at all steps.
     g : array of float, shape (C, S)
         What is added at each step.
 
@@ -131,6 +135,6 @@ def accumulate_states(P: FloatArray, g: FloatArray) -> FloatArray:
     band[0] = 1.0
     for row in range(size):
         for column in range(size):
-            band[size + row - column, column : (steps - 1) * size : size] = -P[1:, row, column]
+            band[size + row - column, column : (steps - 1) * size : size] = -P[row][column][1:]
     x: FloatArray = scipy.linalg.blas.dtbsv(2 * size - 1, band, g.reshape(-1), lower=1, diag=1)
     return x.reshape(steps, size)

@@ -33,11 +33,11 @@ from autotuner.core.estimation.data import data_of
 from autotuner.core.estimation.least_squares import fit
 from autotuner.core.estimation.simulation import response
 from autotuner.core.identification import LimitCycle, identify
-from autotuner.core.identification.limit_cycle.closed_form import fopdt_symmetric
 from autotuner.core.identification.limit_cycle.inverse_cycle import integrating_of_cycle, sopdt_of_cycle
 from autotuner.core.model.process import STRUCTURES
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, searched
 from autotuner.core.recording import Recording
+from autotuner_models.literature.exact_cycle import fopdt_symmetric
 from autotuner_sim import (
     Fopdt,
     Integrating,

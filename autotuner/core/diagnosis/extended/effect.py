@@ -175,3 +175,8 @@ class Effect:
     def key(self) -> str:
         """Name and form."""
         return f"{self.name}:{self.form}" if self.form else self.name
+
+    @property
+    def only_adds(self) -> bool:
+        """Whether it does nothing but add columns: input and response of the process do not depend on its numbers."""
+        return self.position is None and self.transport is None and self.response is None and self.load is None

@@ -115,8 +115,11 @@ class Extended:
 
     def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
         """Return the columns at some samples, and how many of them each effect added."""
+        return self.columns_of(self.view(theta, rows), theta)
+
+    def columns_of(self, view: View, theta: FloatArray) -> tuple[FloatArray, list[int]]:
+        """Return the same of a view at `theta`."""
         _, _, values = self.split(theta)
-        view = self.view(theta, rows)
         columns = self._response(view, values)
         counts = []
         for effect, p in zip(self.effects, values, strict=True):
@@ -322,7 +325,8 @@ class _Point:
 
     def __init__(self, problem: Extended, theta: FloatArray) -> None:
         self.problem, self.theta = problem, theta
-        self.columns, self.counts = problem.columns(theta, problem.rows)
+        self.view = problem.view(theta, problem.rows)
+        self.columns, self.counts = problem.columns_of(self.view, theta)
         target = problem.dataset.data.pv[problem.rows]
         self.q, self.linear = solve_linear(self.columns, target)
         self.residual = target - self.q @ (self.q.T @ target)
@@ -342,9 +346,22 @@ class _Point:
             step = searched.step if self.theta[k] + searched.step <= searched.high else -searched.step
             shifted = self.theta.copy()
             shifted[k] += step
-            columns = self.problem.columns(shifted, self.problem.rows)[0]
-            moved[:, k] = (columns @ self.linear - simulated) / step
+            moved[:, k] = (self._columns_at(shifted, k) @ self.linear - simulated) / step
         return moved
+
+    def _columns_at(self, theta: FloatArray, k: int) -> FloatArray:
+        """Return the columns at a `theta` with another number `k`: of an effect that only adds columns, new ones."""
+        problem, ahead, column = self.problem, len(self.problem.structure.shape) + 1, self.problem.structure.gains
+        for effect, count in zip(problem.effects, self.counts, strict=True):
+            first, ahead = ahead, ahead + len(effect.searched)
+            if first <= k < ahead and count and effect.columns is not None and effect.only_adds:
+                columns = self.columns.copy()
+                columns[:, column : column + count] = np.transpose(
+                    effect.columns(self.view, theta[first:ahead].tolist())
+                )
+                return columns
+            column += count
+        return problem.columns(theta, problem.rows)[0]
 
     def _known(self, moved: FloatArray) -> set[int]:
         """Write the slopes that effects know at once; return which they are."""
@@ -354,8 +371,7 @@ class _Point:
         for effect, p in zip(problem.effects, values, strict=True):
             ahead = at + len(p)
             if effect.slopes is not None and ahead <= moved.shape[1]:
-                view = problem.view(self.theta, problem.rows)
-                moved[:, at:ahead] = float(self.linear[0]) * effect.slopes(view, p)
+                moved[:, at:ahead] = float(self.linear[0]) * effect.slopes(self.view, p)
                 known |= set(range(at, ahead))
             at = ahead
         return known

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
+
+    Columns = Callable[[View, Sequence[float]], list[FloatArray]]
+    Starts = Sequence[tuple[float, ...]]
+    Part = Callable[[FloatArray, Sequence[float]], FloatArray]
 
 ORIGIN_LEFT = 0.25
 """Uncertainty of the origin of the steps, in steps; over the range of the output, the step size differs by as much."""
@@ -45,54 +50,32 @@ def actuator_effects(
     return (
         *saturations(dataset),
         rate_limit(dataset),
-        _two_rates(dataset),
+        rate_limit(dataset, unequal=True),
         *(quantisation(dataset, form, of_form) for form, of_form in steps.items() if of_form),
         *((updated_every(dataset, grids),) if grids else ()),
         *_curves(dataset),
-        _direction_gain(dataset),
-        _bent_gain(dataset),
-        _kink_elsewhere(dataset),
+        *_direction_gains(dataset),
     )
 
 
-def rate_limit(dataset: Dataset) -> Effect:
-    """Return an actuator that moves by a limited rate."""
-    swing = dataset.swing
-    slowest, fastest = math.log(0.5 / dataset.span_s), math.log(3.0 / dataset.data.interval_s)
-
-    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        return {"rate_per_s": math.exp(p[0]) * swing}
-
+def rate_limit(dataset: Dataset, *, unequal: bool = False) -> Effect:
+    """Return an actuator that moves by a limited rate, or by one for each direction."""
+    swing, span = dataset.swing, dataset.span_s
+    slowest, fastest = math.log(0.5 / span), math.log(3.0 / dataset.data.interval_s)
+    names = ("rate", "falling_rate") if unequal else ("rate",)
+    alike = [(-math.log(share * span),) for share in (0.003, 0.007, 0.015, 0.03, 0.06, 0.12)]
+    rates = [-math.log(share * span) for share in (0.003, 0.01, 0.03, 0.1)]
+    apart = [(rate + up, rate + down) for rate in rates for up, down in ((TWICE, 0.0), (0.0, TWICE))]
     return Effect(
         "rate_limit",
         Place.ACTUATOR,
-        (Searched("log_rate", slowest, fastest, 1e-4),),
-        [(math.log(1.0 / (share * dataset.span_s)),) for share in (0.003, 0.007, 0.015, 0.03, 0.06, 0.12)],
-        sizes,
-        position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing),
+        tuple(Searched(f"log_{name}", slowest, fastest, 1e-4) for name in names),
+        apart if unequal else alike,
+        lambda p, _c, _g: {f"{name}_per_s": math.exp(x) * swing for name, x in zip(names, p, strict=True)},
+        form="unequal" if unequal else "",
+        position=lambda held, p, _: rate_limited(held, *(math.exp(x) * swing for x in p)),
         order=2,
-        group="timing",
-    )
-
-
-def _two_rates(dataset: Dataset) -> Effect:
-    swing = dataset.swing
-    slowest, fastest = math.log(0.5 / dataset.span_s), math.log(3.0 / dataset.data.interval_s)
-
-    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        return {"rate_per_s": math.exp(p[0]) * swing, "falling_rate_per_s": math.exp(p[1]) * swing}
-
-    rates = [math.log(1.0 / (share * dataset.span_s)) for share in (0.003, 0.01, 0.03, 0.1)]
-    return Effect(
-        "rate_limit",
-        Place.ACTUATOR,
-        (Searched("log_rate", slowest, fastest, 1e-4), Searched("log_falling_rate", slowest, fastest, 1e-4)),
-        [(rate + up, rate + down) for rate in rates for up, down in ((TWICE, 0.0), (0.0, TWICE))],
-        sizes,
-        form="unequal",
-        position=lambda held, p, _: rate_limited(held, math.exp(p[0]) * swing, math.exp(p[1]) * swing),
-        order=2,
-        price=2.0,
+        price=2.0 if unequal else 0.0,
         group="timing",
     )
 
@@ -173,101 +156,64 @@ def taken_over(held: HeldInput, period: float, phase: float) -> HeldInput:
 def _curves(dataset: Dataset) -> tuple[Effect, ...]:
     swing = dataset.swing
 
-    def columns(powers: Sequence[int]) -> Callable[[View, Sequence[float]], list[FloatArray]]:
+    def columns(powers: Sequence[int]) -> Columns:
         return lambda view, _p: [
             view.forced(map_levels(view.position, lambda u, n=n: swing * (u / swing) ** n))  # type: ignore[misc]
             for n in powers
         ]
 
-    def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
-        return {"curvature": c[0] / g, **({"third": c[1] / g} if len(c) > 1 else {})}
-
-    return (
+    return tuple(
         Effect(
             "static_nonlinearity",
             Place.ACTUATOR,
             (),
             [()],
-            sizes,
-            form="square",
-            columns=columns((2,)),
+            lambda _p, c, g: {name: x / g for name, x in zip(("curvature", "third"), c, strict=False)},
+            form=form,
+            columns=columns(powers),
             order=4,
             group="curve",
-        ),
+        )
+        for form, powers in (("square", (2,)), ("cubic", (2, 3)))
+    )
+
+
+def _direction_gains(dataset: Dataset) -> tuple[Effect, ...]:
+    """Return a gain that differs above the first output: at a corner, at a rounded one, and above another output."""
+    swing, low = dataset.swing, float(dataset.data.held.levels.min())
+    kink = dataset.output0 + low
+    kinks: Starts = [(share,) for share in KINKS]
+    ways: tuple[tuple[str, tuple[Searched, ...], Starts, float, Part], ...] = (
+        ("", (), [()], 0.0, lambda u, _p: np.maximum(u, 0.0)),
+        ("bend", (Searched("width", 0.005, 0.5, 1e-4),), [(0.05,), (0.2,)], 2.0, lambda u, p: _bent(u, p[0] * swing)),
+        ("kink elsewhere", (Searched("kink", 0.05, 0.95, 1e-3),), kinks, math.log(len(KINKS)),
+         lambda u, p: np.maximum(u - (low + p[0] * swing), 0.0)),
+    )  # fmt: skip
+
+    def columns(above: Part) -> Columns:
+        return lambda view, p: [view.forced(map_levels(view.position, lambda u: above(u, p)))]
+
+    def sizes(form: str, p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {"ratio": 1.0 + c[0] / g, **({"kink": kink + p[0] * swing} if form == "kink elsewhere" else {})}
+
+    return tuple(
         Effect(
-            "static_nonlinearity",
+            "direction_gain",
             Place.ACTUATOR,
-            (),
-            [()],
-            sizes,
-            form="cubic",
-            columns=columns((2, 3)),
+            searched,
+            starts,
+            partial(sizes, form),
+            form=form,
+            columns=columns(above),
             order=4,
+            price=price,
             group="curve",
-        ),
+            means=lambda _p, c, g, _shape: c[0] / g > -1.0,
+        )
+        for form, searched, starts, price, above in ways
     )
 
 
-def _direction_gain(dataset: Dataset) -> Effect:  # noqa: ARG001 - one signature for all
-    def above(view: View, _p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(map_levels(view.position, lambda u: np.maximum(u, 0.0)))]
-
-    return Effect(
-        "direction_gain",
-        Place.ACTUATOR,
-        (),
-        [()],
-        lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
-        means=lambda _p, c, g, _shape: c[0] / g > -1.0,
-        columns=above,
-        order=4,
-        group="curve",
-    )
-
-
-def _bent_gain(dataset: Dataset) -> Effect:
-    swing = dataset.swing
-
-    def above(view: View, p: Sequence[float]) -> list[FloatArray]:
-        width = p[0] * swing
-        return [view.forced(map_levels(view.position, lambda u: 0.5 * (u + np.hypot(u, width) - width)))]
-
-    return Effect(
-        "direction_gain",
-        Place.ACTUATOR,
-        (Searched("width", 0.005, 0.5, 1e-4),),
-        [(0.05,), (0.2,)],
-        lambda _p, c, g: {"ratio": 1.0 + c[0] / g},
-        means=lambda _p, c, g, _shape: c[0] / g > -1.0,
-        form="bend",
-        columns=above,
-        order=4,
-        price=2.0,
-        group="curve",
-    )
-
-
-def _kink_elsewhere(dataset: Dataset) -> Effect:
-    levels, swing = dataset.data.held.levels, dataset.swing
-    low = float(levels.min())
-
-    def above(view: View, p: Sequence[float]) -> list[FloatArray]:
-        kink = low + p[0] * swing
-        return [view.forced(map_levels(view.position, lambda u: np.maximum(u - kink, 0.0)))]
-
-    def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
-        return {"ratio": 1.0 + c[0] / g, "kink": dataset.output0 + low + p[0] * swing}
-
-    return Effect(
-        "direction_gain",
-        Place.ACTUATOR,
-        (Searched("kink", 0.05, 0.95, 1e-3),),
-        [(share,) for share in KINKS],
-        sizes,
-        means=lambda _p, c, g, _shape: c[0] / g > -1.0,
-        form="kink elsewhere",
-        columns=above,
-        order=4,
-        price=math.log(len(KINKS)),
-        group="curve",
-    )
+def _bent(u: FloatArray, width: float) -> FloatArray:
+    bent: FloatArray = 0.5 * (u + np.hypot(u, width) - width)
+    return bent

@@ -105,42 +105,46 @@ def _moved(view: View, axis: _Axis, constant: float) -> FloatArray:
         return view.forced(view.input)
     held = view.input
     moves = held.times[1:] + view.delay_s
-    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
-    force = held.levels[np.searchsorted(moves, grid, side="right")[:-1]] + constant
-    velocity, position = _course(np.diff(grid).tolist(), force.tolist(), motion.T, axis)
-    course = position if isinstance(motion, LaggedIntegrator) else velocity
-    result: FloatArray = np.array(course)[np.searchsorted(grid, view.t)]
-    return result
+    begins = np.append(0.0, moves[(moves > 0.0) & (moves < view.t[-1])])
+    force = held.levels[np.searchsorted(moves, begins, side="right")] + constant
+    velocity, position = _course(begins, force, motion.T, axis, view.t)
+    return position if isinstance(motion, LaggedIntegrator) else velocity
 
 
-def _course(steps: list[float], force: list[float], T: float, axis: _Axis) -> tuple[list[float], list[float]]:
-    """Return velocity and position at the ends of steps."""
+def _course(
+    begins: FloatArray, force: FloatArray, T: float, axis: _Axis, t: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return velocity and position at some times, by the forces and the times from which on each of them acts."""
+    pieces = []
     v, x = axis.velocity, 0.0
-    velocities, positions = [v], [x]
-    ways = (T, axis.coulomb, axis.viscous(1.0), axis.viscous(-1.0))
-    for h, f in zip(steps, force, strict=True):
-        v, x, left = _until_stop(v, x, h, f, ways)
-        if left > 0.0:
-            v, x, _ = _until_stop(0.0, x, left, f, ways)
-        velocities.append(v)
-        positions.append(x)
-    return velocities, positions
+    lengths = np.diff(begins, append=max(t[-1], begins[-1]))
+    for start, left, f in zip(begins.tolist(), lengths.tolist(), force.tolist(), strict=True):
+        now, ends = start, start + left
+        while now < ends:
+            v, towards, lag, lasts = _until_stop(v, f, T, axis)
+            pieces.append((now, v, x, towards, lag))
+            lasts = min(lasts, ends - now)
+            fading = math.exp(-lasts / lag)
+            stops = now + lasts < ends
+            x += towards * lasts + (v - towards) * lag * (1.0 - fading)
+            v = 0.0 if stops else towards + (v - towards) * fading
+            now += lasts
+    at, first, x0, towards, lag = np.array(pieces or [(0.0, v, x, 0.0, T)]).T
+    which = np.maximum(np.searchsorted(at, t, side="right") - 1, 0)
+    since, off = t - at[which], (first - towards)[which]
+    fading = np.exp(-since / lag[which])
+    return (
+        towards[which] + off * fading,
+        x0[which] + towards[which] * since + off * lag[which] * (1.0 - fading),
+    )
 
 
-def _until_stop(
-    v: float, x: float, h: float, f: float, ways: tuple[float, float, float, float]
-) -> tuple[float, float, float]:
-    """Return velocity, position and the time left after a step, or after the part of it that ends at rest."""
-    T, coulomb, up, down = ways
-    if abs(v) < NEGLIGIBLE and abs(f) <= coulomb:
-        return 0.0, x, 0.0
+def _until_stop(v: float, f: float, T: float, axis: _Axis) -> tuple[float, float, float, float]:
+    """Return under a force the velocity, the one that it tends to and in which time, and after which time it stops."""
+    if abs(v) < NEGLIGIBLE and abs(f) <= axis.coulomb:
+        return 0.0, 0.0, T, math.inf
     way = math.copysign(1.0, v if abs(v) >= NEGLIGIBLE else f)
-    viscous = up if way > 0.0 else down
-    end, T, lasts = (f - coulomb * way) / viscous, T / viscous, h
-    if v * way > 0.0 and end * way < 0.0:
-        lasts = min(h, T * math.log((end - v) / end))
-    fading = math.exp(-lasts / T)
-    x += end * lasts + (v - end) * T * (1.0 - fading)
-    v = end + (v - end) * fading
-    stopped = lasts < h
-    return (0.0 if stopped else v), x, h - lasts
+    viscous = axis.viscous(way)
+    towards, lag = (f - axis.coulomb * way) / viscous, T / viscous
+    stops = v * way > 0.0 and towards * way < 0.0
+    return v, towards, lag, lag * math.log((towards - v) / towards) if stops else math.inf

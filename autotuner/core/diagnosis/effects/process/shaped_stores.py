@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.process.state_limits import lags_of
+from autotuner.core.diagnosis.effects.process.stepping import steps_of
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 
@@ -121,15 +122,12 @@ def _levels(view: View, motion: Pair, p: Sequence[float], u0: float, F: float) -
     """Return the level of the second store, over that at the middle flow."""
     slow, fast = lags_of(motion)
     T1, T2 = (slow, fast) if p[0] > 0.5 else (fast, slow)
-    held = view.position
-    moves = held.times[1:] + view.delay_s
     again = [r for r in view.dataset.restarts_s[1:] if r < view.t[-1]]
-    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0], again)), view.t)
-    flow = np.maximum(held.levels[np.searchsorted(moves, grid, side="right")[:-1]] - u0, 0.0) / F
+    grid, v, h = steps_of(view, view.position, again)
+    flow = np.maximum(v - u0, 0.0) / F
     first = max(-u0 / F, 0.0)
     begin = tuple(min(max(first ** (1.0 / p[k]) + p[k + 3], 0.0), HIGHEST) for k in (4, 5))
     restarts = set(np.searchsorted(grid, again).tolist())
-    h = np.diff(grid)
     pieces = np.ceil(h / (FINE * min(T1, T2))).clip(1, 20).astype(int)
     course = _run(
         flow.tolist(), (h / pieces).tolist(), pieces.tolist(), (T1 * p[4], T2 * p[5]), (p[4], p[5]),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.process.stepping import WIDE
+from autotuner.core.diagnosis.effects.process.stepping import WIDE, steps_of
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Pair
 
@@ -79,13 +79,9 @@ def _levels(view: View, p: Sequence[float], extreme: float, swing: float) -> Flo
     lags = (slow, fast) if p[0] > 0.5 else (fast, slow)
     limits = (extreme - p[1] * swing, extreme - p[3] * swing)
     start = (p[5] * swing, p[6] * swing)
-    held = view.position
-    moves = held.times[1:] + view.delay_s
     again = [r for r in view.dataset.restarts_s[1:] if r < view.t[-1]]
-    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0], again)), view.t)
-    v = held.levels[np.searchsorted(moves, grid, side="right")[:-1]]
+    grid, v, h = steps_of(view, view.position, again)
     restarts = set(np.searchsorted(grid, again).tolist())
-    h = np.diff(grid)
     decays = [np.exp(-h / T).tolist() for T in lags]
     x2 = _run(v.tolist(), decays, limits, (p[2], p[4] / swing), (start, restarts))
     result: FloatArray = np.array(x2)[np.searchsorted(grid, view.t)]

@@ -29,10 +29,12 @@ from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from autotuner.core.diagnosis.extended.effect import View
     from autotuner.core.model.arrays import FloatArray
+
+    Row = tuple[float, float, float, float]
 
 WIDE = 1e6
 """Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
@@ -56,59 +58,37 @@ def stepped(
     limits : tuple of float
         Where the response stops.
     """
-    grid, levels, h = _grid(view)
-    v = levels.tolist()
-    motion = view.motion
-    if isinstance(motion, Lag):
-        w = _first_order(np.exp(-h / motion.T).tolist(), v, feedback, limits)
-    elif isinstance(motion, Pair):
-        rows = [entry.tolist() for entry in motion.transition(h)]
-        w = _second_order(rows, v, feedback, limits)
-    else:
+    if not isinstance(view.motion, Lag | Pair):
         return view.forced(view.input)
+    grid, levels, h = _grid(view)
+    w = _limited(_rows(view.motion, h), levels.tolist(), feedback, limits)
     result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
     return result
 
 
 def two_speeds(view: View, r: float) -> FloatArray:
     """Return the response of the process of unit gain that rises `r` times as quickly as it falls."""
-    grid, levels, h = _grid(view)
-    motion, v = view.motion, levels.tolist()
-    if isinstance(motion, Lag):
-        w = _lag_of_two_speeds(np.exp(-h / motion.T).tolist(), np.exp(-r * h / motion.T).tolist(), v)
-    elif isinstance(motion, Pair):
-        rising = Pair(motion.m / r, motion.n / r)
-        w = _pair_of_two_speeds(_rows(motion, h), _rows(rising, h), v)
-    else:
+    motion = view.motion
+    if not isinstance(motion, Lag | Pair):
         return view.forced(view.input)
-    result: FloatArray = np.array(w)[np.searchsorted(grid, view.t)]
-    return result
-
-
-def _rows(motion: Pair, h: FloatArray) -> list[tuple[float, float, float, float]]:
-    return list(zip(*(entry.tolist() for entry in motion.transition(h)), strict=True))
-
-
-def _lag_of_two_speeds(falling: list[float], rising: list[float], v: list[float]) -> list[float]:
-    w = 0.0
-    result = [w]
-    for slow, quick, level in zip(falling, rising, v, strict=True):
-        w = level + (w - level) * (quick if w < level else slow)
-        result.append(w)
-    return result
-
-
-def _pair_of_two_speeds(
-    falling: list[tuple[float, float, float, float]], rising: list[tuple[float, float, float, float]], v: list[float]
-) -> list[float]:
+    grid, levels, h = _grid(view)
+    rising = Lag(motion.T / r) if isinstance(motion, Lag) else Pair(motion.m / r, motion.n / r)
     w = slope = 0.0
-    result = [w]
-    for slow, quick, level in zip(falling, rising, v, strict=True):
+    course = [w]
+    for slow, quick, level in zip(_rows(motion, h), _rows(rising, h), levels.tolist(), strict=True):
         off = w - level
         p00, p01, p10, p11 = quick if off < 0.0 else slow
         w, slope = level + p00 * off + p01 * slope, p10 * off + p11 * slope
-        result.append(w)
+        course.append(w)
+    result: FloatArray = np.array(course)[np.searchsorted(grid, view.t)]
     return result
+
+
+def _rows(motion: Lag | Pair, h: FloatArray) -> list[Row]:
+    """Return `e^{A h}` of each step, row by row; that of a lag has no slope."""
+    if isinstance(motion, Lag):
+        return [(p, 0.0, 0.0, 0.0) for p in np.exp(-h / motion.T).tolist()]
+    return list(zip(*(entry.tolist() for entry in motion.transition(h)), strict=True))
 
 
 def with_loss(
@@ -185,12 +165,15 @@ def _newton(
 
 
 def _grid(view: View, many: int = MANY_MOVES) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the times of the steps, the input over each of them, and their lengths."""
+    """Return the steps of the input, which is averaged where it moves often."""
     held = view.input
-    if held.times.size > many:
-        held = averaged(held, view.dataset.span_s)
+    return steps_of(view, averaged(held, view.dataset.span_s) if held.times.size > many else held)
+
+
+def steps_of(view: View, held: HeldInput, also: Sequence[float] = ()) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the times of the steps: samples, moves of an input and some others; the input over each; their lengths."""
     moves = held.times[1:] + view.delay_s
-    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0])), view.t)
+    grid = np.union1d(np.concatenate((moves[moves < view.t[-1]], [0.0], also)), view.t)
     return grid, held.levels[np.searchsorted(moves, grid, side="right")[:-1]], np.diff(grid)
 
 
@@ -215,8 +198,8 @@ def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatA
         a = (p00 + 0.5 * (1.0 - p00) * f1[:-1]) / ahead
         b, c = p01 / ahead, (1.0 - p00) * mean / ahead
         back, forth = p10 * (1.0 - 0.5 * f1[:-1]), -0.5 * p10 * f1[1:]
-        P, shift = np.zeros((h.size + 1, 2, 2)), np.zeros((h.size + 1, 2))
-        P[1:, 0, 0], P[1:, 0, 1], P[1:, 1, 0], P[1:, 1, 1] = a, b, back + forth * a, p11 + forth * b
+        P, shift = np.zeros((2, 2, h.size + 1)), np.zeros((h.size + 1, 2))
+        P[0, 0, 1:], P[0, 1, 1:], P[1, 0, 1:], P[1, 1, 1:] = a, b, back + forth * a, p11 + forth * b
         shift[1:, 0], shift[1:, 1] = c, -p10 * mean + forth * c
         result: FloatArray = accumulate_states(P, shift)[:, 0]
         return result
@@ -234,25 +217,8 @@ def averaged(held: HeldInput, span_s: float) -> HeldInput:
     return HeldInput(edges[:-1], np.where(np.arange(means.size) == 0, 0.0, means))
 
 
-def _first_order(
-    decay: list[float], v: list[float], feedback: Callable[[float, float], float] | None, limits: tuple[float, float]
-) -> list[float]:
-    low, high = limits
-    w = 0.0
-    result = [w]
-    for p, level in zip(decay, v, strict=True):
-        f = feedback(level, w) if feedback is not None else 0.0
-        tried = level + f + p * (w - level - f)
-        if feedback is not None:
-            f = 0.5 * (f + feedback(level, tried))
-            tried = level + f + p * (w - level - f)
-        w = high if tried > high else max(tried, low)
-        result.append(w)
-    return result
-
-
-def _second_order(
-    rows: list[list[float]],
+def _limited(
+    rows: list[Row],
     v: list[float],
     feedback: Callable[[float, float], float] | None,
     limits: tuple[float, float],
@@ -260,7 +226,7 @@ def _second_order(
     low, high = limits
     w = slope = 0.0
     result = [w]
-    for p00, p01, p10, p11, level in zip(*rows, v, strict=True):
+    for (p00, p01, p10, p11), level in zip(rows, v, strict=True):
         f = feedback(level, w) if feedback is not None else 0.0
         off = w - level - f
         tried = level + f + p00 * off + p01 * slope
