@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.design import UltimatePoint, apply_rule
 from autotuner.core.identification.limit_cycle import online_relay
-from autotuner.core.identification.limit_cycle.describing_function import ultimate_point
+from autotuner.core.identification.limit_cycle.describing_function import fopdt, ultimate_point
 from autotuner_models.estimates import H
 from autotuner_models.report import Column, ReportTable, percent_off
 from autotuner_models.thesis.printed import TABLES
@@ -72,7 +72,7 @@ def _controllers(plant: Fopdt) -> dict[str, PidGains]:
 def _identified(plant: Fopdt, gains: PidGains) -> dict[str, float]:
     run = run_parallel_relay(plant, symmetric_relay(H), Pid(gains.Kp, gains.Ti, gains.Td, gains.Tf), END_S, STEP_S)
     controller = online_relay.held_response(gains, run.period_s, 0.0)
-    return online_relay.fopdt(plant.K, H, run.peak, run.period_s, controller).parameters()
+    return fopdt(plant.K, H, run.peak, run.period_s, controller=controller).parameters()
 
 
 def _gains(gains: PidGains) -> tuple[Cell, ...]:

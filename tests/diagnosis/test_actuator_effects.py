@@ -13,7 +13,6 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
     friction_effects,
     slipped,
     stiction,
-    uneven_backlash,
 )
 from autotuner.core.diagnosis.effects.actuator.saturation import clipped, map_levels, rounded, saturations
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
@@ -105,10 +104,8 @@ def test_a_slip_from_every_rest_is_kanos(u, band, tenths):
 @QUICK
 @given(levels, st.floats(0.1, 20.0), st.floats(-0.05, 0.05))
 def test_play_without_a_tilt_is_even_and_a_tilt_is_mirrored(u, width, tilt):
-    even = uneven_backlash(held(u), width, 0.0).levels
-    assert even == pytest.approx(backlash(held(u), width, 0.0).levels, abs=1e-9)
-    mirrored = uneven_backlash(held(-u), width, -tilt).levels
-    assert mirrored == pytest.approx(-uneven_backlash(held(u), width, tilt).levels, abs=1e-9)
+    mirrored = backlash(held(-u), width, tilt=-tilt).levels
+    assert mirrored == pytest.approx(-backlash(held(u), width, tilt=tilt).levels, abs=1e-9)
 
 
 @QUICK

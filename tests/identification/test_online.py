@@ -72,7 +72,7 @@ def test_a_first_order_process_is_recovered_from_any_controller(T, K, turn, h, A
     plant = plants.Fopdt(K, T, D)
     assume(w * D + math.atan(w * T) < 2.0 * math.pi)
     controller = -1.0 / plant.transfer(1j * w) - relay_gain(h, A, share * A)
-    found = online_relay.fopdt(sign * K, h, A, 2.0 * math.pi / w, controller, share * A)
+    found = describing_function.fopdt(sign * K, h, A, 2.0 * math.pi / w, share * A, controller)
     assert pytest.approx((sign * K, T, D), rel=1e-6) == (found.K, found.T, found.D)
 
 
@@ -89,25 +89,17 @@ def test_a_second_order_process_is_recovered_from_any_controller(T1, part, K, wT
     T2, D, w = part * T1, 0.3 * T1, wT / T1
     plant = plants.SopdtOverdamped(K, T1, T2, D)
     controller = -1.0 / plant.transfer(1j * w) - relay_gain(h, A, share * A)
-    found = online_relay.sopdt(K, D, h, A, 2.0 * math.pi / w, controller, share * A)
+    found = describing_function.sopdt(K, D, h, A, 2.0 * math.pi / w, share * A, controller)
     m, n = (found.m, found.n) if found.structure == "sopdt_underdamped" else (found.T1 * found.T2, found.T1 + found.T2)
     assert (m, n) == pytest.approx((T1 * T2, T1 + T2), rel=1e-5)
 
 
-@given(st.floats(0.1, 10.0), st.floats(0.05, 0.9), st.floats(0.1, 100.0), st.floats(0.0, 0.5))
-def test_without_a_controller_it_is_the_describing_function(K, share, Pu, dead):
-    A = share * 4.0 * K / math.pi
-    expected = describing_function.fopdt(K, 1.0, A, Pu, dead * A)
-    found = online_relay.fopdt(K, 1.0, A, Pu, 0.0, dead * A)
-    assert pytest.approx((expected.T, expected.D), rel=1e-9) == (found.T, found.D)
-
-
 def test_by_hand():
     """h 1, A 4/pi: N = 1; Gc = j, w = 1: M = 1 + j; K 2: T = sqrt(8 - 1), D = pi + pi/4 - atan(sqrt 7)."""
-    found = online_relay.fopdt(2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, 1j)
+    found = describing_function.fopdt(2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, controller=1j)
     assert pytest.approx(math.sqrt(7.0)) == found.T
     assert pytest.approx(1.25 * math.pi - math.atan(math.sqrt(7.0))) == found.D
-    second = online_relay.sopdt(2.0, 2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, 1j)
+    second = describing_function.sopdt(2.0, 2.0, 1.0, 4.0 / math.pi, 2.0 * math.pi, controller=1j)
     angle = 2.0 - math.pi / 4.0
     m, n = 1.0 + 2.0 * math.sqrt(2.0) * math.cos(angle), 2.0 * math.sqrt(2.0) * math.sin(angle)
     assert (second.m, second.n) == pytest.approx((m, n))
@@ -116,11 +108,11 @@ def test_by_hand():
 @pytest.mark.parametrize(
     ("call", "field"),
     [
-        (lambda: online_relay.fopdt(0.1, 1.0, 4.0 / math.pi, 1.0, 1.0), "K"),
-        (lambda: online_relay.fopdt(10.0, 1.0, 4.0 / math.pi, 1.0, -3.0 - 1.5j), "controller"),
-        (lambda: online_relay.fopdt(1.0, 0.0, 1.0, 1.0, 1.0), "h"),
-        (lambda: online_relay.sopdt(1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "D"),
-        (lambda: online_relay.sopdt(1.0, 0.5, 1.0, 1.0, 1.0, 1.0), "D"),
+        (lambda: describing_function.fopdt(0.1, 1.0, 4.0 / math.pi, 1.0, controller=1.0), "K"),
+        (lambda: describing_function.fopdt(10.0, 1.0, 4.0 / math.pi, 1.0, controller=-3.0 - 1.5j), "controller"),
+        (lambda: describing_function.fopdt(1.0, 0.0, 1.0, 1.0, controller=1.0), "h"),
+        (lambda: describing_function.sopdt(1.0, -1.0, 1.0, 1.0, 1.0, controller=1.0), "D"),
+        (lambda: describing_function.sopdt(1.0, 0.5, 1.0, 1.0, 1.0, controller=1.0), "D"),
     ],
 )
 def test_what_no_process_can_have_produced_is_refused(call, field):

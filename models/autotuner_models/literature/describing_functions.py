@@ -52,8 +52,8 @@ def online(trial: Trial) -> ProcessModel:
         raise InputError("is not known", field="controller", remedy="Give the gains that ran beside the relay.")
     Gc = online_relay.held_response(trial.controller, cycle.Pu, trial.recording(BESIDE).sample_interval_s)
     if trial.first_order:
-        return online_relay.fopdt(trial.K, cycle.h, cycle.A, cycle.Pu, Gc)
-    return online_relay.sopdt(trial.K, trial.D, cycle.h, cycle.A1, cycle.Pu, Gc)
+        return describing_function.fopdt(trial.K, cycle.h, cycle.A, cycle.Pu, controller=Gc)
+    return describing_function.sopdt(trial.K, trial.D, cycle.h, cycle.A1, cycle.Pu, controller=Gc)
 
 
 def with_hysteresis(trial: Trial) -> ProcessModel:

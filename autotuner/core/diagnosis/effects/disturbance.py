@@ -11,6 +11,7 @@ bias_step             + c step at ts                on the PV
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -23,12 +24,13 @@ from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
     Columns = Callable[[View, Sequence[float]], list[FloatArray]]
+    Sizes = Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]
     Way = tuple[str, tuple[Searched, ...], Sequence[tuple[float, ...]], Columns]
 
 MOMENTS = 24
@@ -121,49 +123,41 @@ def _bias_step(dataset: Dataset, moments: Sequence[float]) -> Effect:
 
 
 def _drifts(dataset: Dataset) -> tuple[Effect, ...]:
+    """Return a straight drift, one that begins in the record, and one that settles."""
     span = dataset.span_s
-
-    def late(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [np.maximum(view.t / span - p[0], 0.0)]
-
-    def settling(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [-np.expm1(-np.maximum(view.t / span - p[1], 0.0) / math.exp(p[0]))]
-
-    return (
-        Effect(
-            "drift",
-            Place.DISTURBANCE,
-            (),
-            [()],
-            lambda _p, c, _g: {"pv_per_s": c[0] / span},
-            columns=lambda view, _p: [view.t / span],
-            order=7,
-            group="slow",
-        ),
-        Effect(
-            "drift",
-            Place.DISTURBANCE,
-            (Searched("start", 0.0, 0.9, 1e-4),),
+    start = Searched("start", 0.0, 0.9, 1e-4)
+    settle = (Searched("log_time", math.log(0.02), math.log(3.0), 1e-4), replace(start, low=-0.5))
+    ways: tuple[tuple[str, tuple[Searched, ...], Sequence[tuple[float, ...]], Columns, Sizes], ...] = (
+        ("", (), [()], lambda view, _p: [view.t / span], lambda _p, c, _g: {"pv_per_s": c[0] / span}),
+        (
+            "late",
+            (start,),
             [(0.1,), (0.3,), (0.5,), (0.7,)],
+            lambda view, p: [np.maximum(view.t / span - p[0], 0.0)],
             lambda p, c, _g: {"pv_per_s": c[0] / span, "from_s": p[0] * span},
-            form="late",
-            columns=late,
-            order=7,
-            price=2.0,
-            group="slow",
         ),
+        (
+            "settling",
+            settle,
+            [(math.log(time), begin) for time in (0.1, 0.4) for begin in (0.0, 0.3)],
+            lambda view, p: [-np.expm1(-np.maximum(view.t / span - p[1], 0.0) / math.exp(p[0]))],
+            lambda p, c, _g: {"pv_in_all": c[0], "time_constant_s": math.exp(p[0]) * span},
+        ),
+    )
+    return tuple(
         Effect(
             "drift",
             Place.DISTURBANCE,
-            (Searched("log_time", math.log(0.02), math.log(3.0), 1e-4), Searched("start", -0.5, 0.9, 1e-4)),
-            [(math.log(time), start) for time in (0.1, 0.4) for start in (0.0, 0.3)],
-            lambda p, c, _g: {"pv_in_all": c[0], "time_constant_s": math.exp(p[0]) * span},
-            form="settling",
-            columns=settling,
+            searched,
+            starts,
+            sizes,
+            form=form,
+            columns=columns,
             order=7,
-            price=2.0,
+            price=2.0 if form else 0.0,
             group="slow",
-        ),
+        )
+        for form, searched, starts, columns, sizes in ways
     )
 
 

@@ -1,15 +1,17 @@
 """Describing function: a process model from amplitude and period of a relay's limit cycle.
 
-    N = 4h/(pi A) e^{-j asin(eps/A)},   w = 2 pi/Pu,   N G(jw) = -1
+    N = 4h/(pi A) e^{-j asin(eps/A)},   w = 2 pi/Pu,   M G(jw) = -1,   M = N + Gc(jw)
 
-    FOPDT   T = sqrt((|N| K)^2 - 1)/w
-            D = (pi - phi - atan(w T))/w
-    SOPDT   m = (1 + |N| K cos(w D + phi))/w^2
-            n = |N| K sin(w D + phi)/w,        T1,2 = n/2 +- sqrt(n^2/4 - m)
+    FOPDT   T = sqrt((|M| K)^2 - 1)/w
+            D = (pi + arg M - atan(w T))/w
+    SOPDT   m = (1 + |M| K cos(w D - arg M))/w^2
+            n = |M| K sin(w D - arg M)/w,      T1,2 = n/2 +- sqrt(n^2/4 - m)
 
 `h` half the relay's swing (output), `A` PV amplitude zero to peak, `Pu` period (s), `K` static gain (PV/output), `eps`
-half width of the relay's dead zone (PV), `phi = asin(eps/A)`, `D`, `T`, `T1`, `T2`, `n` s, `m` s^2. With `eps` = 0:
-thesis eqs. 3.2-3.6, 3.13, 3.14, 3.22, 3.23; hysteresis: Astrom and Hagglund, Automatica 20 (1984).
+half width of the relay's dead zone (PV), `D`, `T`, `T1`, `T2`, `n` s, `m` s^2. `Gc` is the frequency response from
+error to output (output/PV) of a controller in parallel with the relay, 0 without one: the bias of the describing
+function shrinks with the relay's share of `M`. Thesis section 1.3.2 with eqs. 3.2-3.6, 3.13-3.23; hysteresis: Astrom
+and Hagglund, Automatica 20 (1984).
 
 Whether `A` is the peak of the wave or its fundamental is the caller's choice. The peak carries the bias of the
 describing function (Ku -19 % to +27 % for FOPDT); with the fundamental `|G(jw)| = 1/|N|` holds exactly, and only the
@@ -20,6 +22,7 @@ Invariants: pure formulas; inputs that no process of the structure can have prod
 
 from __future__ import annotations
 
+import cmath
 import math
 
 from autotuner.core.model.process import Fopdt, SopdtOverdamped, SopdtUnderdamped, second_order
@@ -60,30 +63,49 @@ def ultimate_point(h: float, A: float, Pu: float, eps: float = 0.0) -> tuple[com
     return complex(magnitude * math.cos(phase), magnitude * math.sin(phase)), 2.0 * math.pi / Pu
 
 
-def fopdt(K: float, h: float, A: float, Pu: float, eps: float = 0.0) -> Fopdt:
+def fopdt(K: float, h: float, A: float, Pu: float, eps: float = 0.0, controller: complex = 0.0) -> Fopdt:
     """Return the first-order process that oscillates with `A` and `Pu`.
+
+    Parameters
+    ----------
+    K : float
+        Static gain, PV/output.
+    h, A, Pu, eps : float
+        As in `ultimate_point`.
+    controller : complex
+        `Gc(jw)` at `w = 2 pi/Pu`, output/PV.
 
     Raises
     ------
     InputError
-        `|N K| <= 1`: no lag, however short, leaves that amplitude.
+        `|M K| <= 1`: no lag, however short, leaves that amplitude; or the phase leaves no room for a dead time.
     """
     N, w = ultimate_point(h, A, Pu, eps)
-    loop_gain = abs(N * K)
+    M = N + controller
+    loop_gain = abs(M * K)
     if not loop_gain > 1.0:
         raise InputError(
-            f"is no more than pi A/(4 h) = {1.0 / abs(N):g}: a first-order process would not attenuate so little",
+            f"is no more than {1.0 / abs(M):g}: a first-order process would not attenuate so little",
             field="K",
             value=K,
-            remedy="Check the static gain, or use the fundamental amplitude or the closed form.",
+            remedy="Check static gain and controller gains, use the fundamental amplitude, or use the closed form.",
         )
     T = math.sqrt(loop_gain**2 - 1.0) / w
-    D = (math.pi - math.asin(eps / A) - math.atan(w * T)) / w
+    D = (math.pi + cmath.phase(M) - math.atan(w * T)) / w
+    if D < 0.0:
+        raise InputError(
+            f"leaves a dead time of {D:g} s",
+            field="controller",
+            value=[controller.real, controller.imag],
+            remedy="Check controller gains and dead zone: with these the process would answer before its input moves.",
+        )
     return Fopdt(K, T, D)
 
 
-def sopdt(K: float, D: float, h: float, A: float, Pu: float, eps: float = 0.0) -> SopdtOverdamped | SopdtUnderdamped:
-    """Return the second-order process with dead time `D` that oscillates with `A` and `Pu`.
+def sopdt(
+    K: float, D: float, h: float, A: float, Pu: float, eps: float = 0.0, controller: complex = 0.0
+) -> SopdtOverdamped | SopdtUnderdamped:
+    """Return the second-order process with dead time `D` that oscillates so; parameters as in `fopdt`.
 
     Raises
     ------
@@ -93,15 +115,14 @@ def sopdt(K: float, D: float, h: float, A: float, Pu: float, eps: float = 0.0) -
     N, w = ultimate_point(h, A, Pu, eps)
     if not 0.0 <= D < math.inf:
         raise InputError("must not be negative", field="D", value=D, remedy="Give the dead time in s.")
-    loop_gain, angle = abs(N * K), w * D + math.asin(eps / A)
-    m = (1.0 + loop_gain * math.cos(angle)) / w**2
-    n = loop_gain * math.sin(angle) / w
+    turned = abs(K) * (N + controller) * cmath.exp(-1j * w * D)
+    m, n = (1.0 + turned.real) / w**2, -turned.imag / w
     if not (m > 0.0 and n > 0.0):
         raise InputError(
             f"does not go with a second-order process of period {Pu:g} s: m = {m:.4g} s^2 and n = {n:.4g} s, both must "
             "be positive",
             field="D",
             value=D,
-            remedy="Check dead time and static gain, or use least squares.",
+            remedy="Check dead time, static gain and controller gains, or use least squares.",
         )
     return second_order(K, m, n, D)

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification.limit_cycle import closed_form, describing_function, inverse_cycle, online_relay
+from autotuner.core.identification.limit_cycle import closed_form, describing_function, inverse_cycle
 from autotuner.core.identification.result import Estimate, refuse
 from autotuner.core.signals.static_gain import gain_from_cycles
 from autotuner.errors import InputError
@@ -109,11 +109,9 @@ def _by_formula(
     K: float, D: float | None, wave: tuple[float, float, float, float], beside: Beside | None
 ) -> ProcessModel:
     """Return the model of first order, or with a dead time of second; `wave` is `h`, `A`, `Pu`, `eps`."""
-    h, A, Pu, eps = wave
-    if beside is not None:
-        Gc = beside.declared
-        return online_relay.fopdt(K, h, A, Pu, Gc, eps) if D is None else online_relay.sopdt(K, D, h, A, Pu, Gc, eps)
-    return describing_function.fopdt(K, h, A, Pu, eps) if D is None else describing_function.sopdt(K, D, h, A, Pu, eps)
+    Gc = 0.0 if beside is None else beside.declared
+    of = describing_function
+    return of.fopdt(K, *wave, Gc) if D is None else of.sopdt(K, D, *wave, Gc)
 
 
 def by_closed_form(

@@ -24,6 +24,7 @@ Valve Stiction, 2008, with the same test: the PV is constant while the output mo
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -34,7 +35,7 @@ from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
@@ -65,36 +66,12 @@ def friction_effects(dataset: Dataset) -> tuple[Effect, ...]:
     """Return play and sticking, from the swing and the moves of the output."""
     swing = dataset.swing
     least = SMALLEST_IN_LOOP if dataset.in_loop else SMALLEST
-    seated = Effect(
-        "backlash",
-        Place.ACTUATOR,
-        (Searched("width", least, LARGEST, 1e-4), Searched("seat", -0.5, 0.5, 1e-3)),
-        [(width, seat) for width in PLAYS for seat in (-0.4, 0.4)],
-        lambda p, _c, _g: {"width": p[0] * swing},
-        form="seated",
-        position=lambda held, p, _: backlash(held, p[0] * swing, p[1]),
-        order=3,
-        group="friction",
-        price=2.0,
-    )
-    uneven = Effect(
-        "backlash",
-        Place.ACTUATOR,
-        (Searched("width", least, LARGEST, 1e-4), Searched("tilt", -1.5, 1.5, 1e-3)),
-        [(width, tilt) for width in PLAYS for tilt in (-0.5, 0.5)],
-        lambda p, _c, _g: {"width": p[0] * swing, "change_over_swing": p[0] * p[1] * swing},
-        form="uneven",
-        position=lambda held, p, _: uneven_backlash(held, p[0] * swing, p[1] / swing),
-        order=3,
-        group="friction",
-        price=2.0,
-    )
     bands = [*_bands(dataset), *(travel / swing for travel in waiting_of(dataset).travels)]
     return (
         play(dataset, least, PLAYS),
-        seated,
+        _play_with(dataset, least, "seated", Searched("seat", -0.5, 0.5, 1e-3), 0.4),
         sticking(dataset, least, list(product(bands, LEFT))),
-        uneven,
+        _play_with(dataset, least, "uneven", Searched("tilt", -1.5, 1.5, 1e-3), 0.5),
         *((_slipping(dataset, least),) if dataset.tuned else ()),
         *((_turning(dataset),) if dataset.in_loop or waiting_of(dataset).sticks else ()),
     )
@@ -109,10 +86,25 @@ def play(dataset: Dataset, least: float = SMALLEST, widths: Sequence[float] = ()
         (Searched("width", least, LARGEST, 1e-4),),
         [(width,) for width in widths],
         lambda p, _c, _g: {"width": p[0] * swing},
-        position=lambda held, p, _: backlash(held, p[0] * swing, 0.0),
+        position=lambda held, p, _: backlash(held, p[0] * swing),
         order=3,
         group="friction",
     )
+
+
+def _play_with(dataset: Dataset, least: float, form: str, further: Searched, start: float) -> Effect:
+    """Return play with one more number: where it starts, or how its width changes with the position."""
+    plain, swing = play(dataset, least), dataset.swing
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
+        return {"width": p[0] * swing, **({"change_over_swing": p[0] * p[1] * swing} if form == "uneven" else {})}
+
+    def position(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
+        return backlash(held, p[0] * swing, **{further.name: p[1] / swing if form == "uneven" else p[1]})
+
+    starts = [(width, way * start) for width in PLAYS for way in (-1.0, 1.0)]
+    searched = (*plain.searched, further)
+    return replace(plain, form=form, searched=searched, starts=starts, sizes=sizes, position=position, price=2.0)
 
 
 def sticking(dataset: Dataset, least: float = SMALLEST, starts: Sequence[tuple[float, float]] = ()) -> Effect:
@@ -189,25 +181,17 @@ def _bands(dataset: Dataset) -> list[float]:
     return [float(band) for band in middles[picked]]
 
 
-def backlash(held: HeldInput, width: float, seat: float) -> HeldInput:
-    """Return the position after a play of full `width`; `seat` is where it starts within the play, -0.5 to 0.5."""
-    half = width / 2.0
+def backlash(held: HeldInput, width: float, seat: float = 0.0, tilt: float = 0.0) -> HeldInput:
+    """Return the position after a play that is `width (1 + tilt x)` wide at the position `x`.
+
+    `seat` is where it starts within the play, -0.5 to 0.5.
+    """
     x = start = seat * width
-    positions = []
-    for level in held.levels.tolist():
-        x = level - half if x < level - half else min(x, level + half)
-        positions.append(x - start)
-    return HeldInput(held.times, np.array(positions))
-
-
-def uneven_backlash(held: HeldInput, width: float, tilt: float) -> HeldInput:
-    """Return the position after a play that is `width (1 + tilt x)` wide at the position `x`."""
-    x = 0.0
     positions = []
     for level in held.levels.tolist():
         half = max(width * (1.0 + tilt * x), 0.0) / 2.0
         x = level - half if x < level - half else min(x, level + half)
-        positions.append(x)
+        positions.append(x - start)
     return HeldInput(held.times, np.array(positions))
 
 

@@ -8,6 +8,7 @@ A grid is scored by the fall of the squares that its shifts `d` bring, `2 g b'd 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -88,21 +89,7 @@ def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tu
         on = (index == level).astype(float)
         columns.append(float(base.linear[0]) * view.forced(HeldInput(held.times, on - on[0])))
     J = np.column_stack(columns)
-    own, _ = problem.columns(base.theta, rows)
-    tangent = np.hstack((own, _slopes(base, rows)))
-    q, _ = solve_linear(tangent, problem.dataset.data.pv[rows])
+    q, _ = solve_linear(np.hstack(replace(problem, rows=rows).tangent(base.theta)), problem.dataset.data.pv[rows])
     J = J - q @ (q.T @ J)
     left = problem.dataset.data.pv[rows] - q @ (q.T @ problem.dataset.data.pv[rows])
     return J.T @ J, J.T @ left
-
-
-def _slopes(base: Fitted, rows: np.ndarray) -> FloatArray:
-    """Return the slopes of the simulated PV with the process's own searched numbers."""
-    problem = base.problem
-    columns, linear = problem.columns(base.theta, rows)[0], base.linear
-    moved = []
-    for k in range(len(problem.structure.shape) + 1):
-        theta = base.theta.copy()
-        theta[k] += 1e-5
-        moved.append((problem.columns(theta, rows)[0] - columns) @ linear / 1e-5)
-    return np.column_stack(moved)
