@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from autotuner.core.identification.limit_cycle import describing_function
-from autotuner_models.literature import exact_cycle
+from autotuner_models import first_order_cycle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,9 +28,9 @@ def by_describing_function(structure: str, truth: Mapping[str, float], A: float,
 
 def by_peak(K: float, A: float, Pu: float) -> Fopdt | None:
     """Return the closed form on the peak, or None where `1 - e^{-D/T}` is 1 in floating point."""
-    return exact_cycle.fopdt_symmetric(K, H, A, Pu) if A < K * H else None
+    return first_order_cycle.fopdt_symmetric(K, H, A, Pu) if A < K * H else None
 
 
 def by_fundamental(K: float, A1: float, Pu: float) -> Fopdt:
     """Return the closed form on the fundamental."""
-    return exact_cycle.fopdt_by_fundamental(K, H, A1, Pu)
+    return first_order_cycle.fopdt_by_fundamental(K, H, A1, Pu)

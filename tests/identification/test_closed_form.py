@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from autotuner.errors import InputError
-from autotuner_models.literature.exact_cycle import fopdt_by_fundamental, fopdt_of_cycle, fopdt_symmetric
+from autotuner_models.first_order_cycle import fopdt_by_fundamental, fopdt_of_cycle, fopdt_symmetric
 from autotuner_sim.plants import Fopdt as Plant
 from autotuner_sim.relay import Relay
 from autotuner_sim.relay.limit_cycle import find_limit_cycle

@@ -37,7 +37,7 @@ from autotuner.core.identification.limit_cycle.inverse_cycle import integrating_
 from autotuner.core.model.process import STRUCTURES
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, searched
 from autotuner.core.recording import Recording
-from autotuner_models.literature.exact_cycle import fopdt_symmetric
+from autotuner_models.first_order_cycle import fopdt_symmetric
 from autotuner_sim import (
     Fopdt,
     Integrating,
