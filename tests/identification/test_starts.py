@@ -8,7 +8,9 @@ import pytest
 
 import autotuner_sim
 from autotuner.core.estimation import optimiser
-from autotuner.core.estimation.initial_guesses import starts_from
+from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.initial_guesses import Start, starts_from
+from autotuner.core.estimation.variable_projection import Projection
 from autotuner.core.identification import running_model
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, UnstableFopdt, second_order
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, THIRD_ORDER
@@ -107,3 +109,14 @@ def test_where_no_model_explains_the_record_the_nearest_one_shows_the_kind_of_pr
     found = running_model(loud, 0.01, nearest=True)
     assert not found.explains
     assert found.model.parameters()["K"] == pytest.approx(TRUTH["K"], rel=0.03)
+
+
+def test_slopes_that_underflow_move_nothing_and_warn_of_nothing(monkeypatch):
+    """A response that ends within a sample has slopes of about 1e-155, whose covariance overflowed in SciPy."""
+    slopes = Projection.sensitivities
+    monkeypatch.setattr(Projection, "sensitivities", lambda self, theta: slopes(self, theta) * (1.0, 1e-155))
+    start = Start((5.0,), 1.5, 0.0)
+    data = data_of(record(autotuner_sim.Fopdt(2.0, 10.0, 1.5), 3, 30.0, 1))
+    found = optimiser.refine(data, FOPDT, ("offset",), start)
+    assert found.start.delay_s == start.delay_s
+    assert found.start.shape == pytest.approx((10.0,), rel=0.02)

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.structures import Structure
 
+UNSEEN = 1e-100
+"""Slope, PV, that counts as zero: the tail of a response that ends within a sample. Nothing measured moves as little,
+and MINPACK would follow such a slope over any distance, with a covariance that overflows."""
 DIFFERENCE = 1e-6
 """Step of the forward differences in the logarithms."""
 
@@ -122,9 +125,10 @@ class Projection:
         return self._linear
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Return the slope of the residual, Kaufman's form."""
+        """Return the slope of the residual, Kaufman's form; 0 for one that no PV shows."""
         sensitivities = self.sensitivities(theta)
         result: FloatArray = self._q @ (self._q.T @ sensitivities) - sensitivities
+        result[np.abs(result) < UNSEEN] = 0.0
         return result
 
     def sensitivities(self, theta: FloatArray) -> FloatArray:
