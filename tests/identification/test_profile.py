@@ -85,3 +85,11 @@ def test_an_interval_of_a_gain_that_includes_zero_has_an_end_beyond_any_factor(v
     down, up = _distances("K", value, tuple(sorted((-0.5 * value, 3.0 * value))))
     assert down == -FURTHEST
     assert up == pytest.approx(math.log(3.0))
+
+
+def test_without_profiles_the_model_is_the_same_and_intervals_are_those_of_the_covariance():
+    """A lag ten times as long as the record: its interval is far from symmetric."""
+    with_ends, without = (identify(step(20.0, 8.0, 0), "fopdt", profile=profile) for profile in (True, False))
+    assert without.model == with_ends.model
+    assert with_ends.estimates["least_squares"].evidence["profile_likelihood"]
+    assert not without.estimates["least_squares"].evidence["profile_likelihood"]

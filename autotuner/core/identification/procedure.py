@@ -71,6 +71,8 @@ def identify(
     learned: LearnedModels | str | None = None,
     disturbances: Sequence[str] = (),
     is_spent: Callable[[], bool] | None = None,
+    *,
+    profile: bool = True,
 ) -> Identification:
     """Identify the process of a recording: relay test, step, random binary sequence or closed loop.
 
@@ -91,6 +93,8 @@ def identify(
         Names of the recording's further columns that move the PV too (another heater, the ambient temperature).
     is_spent : callable, optional
         Returns whether the time is spent; then the search ends with `TimeSpentError`.
+    profile : bool
+        Whether intervals are those of the profile likelihood where the covariance is not enough; quicker without.
 
     Returns
     -------
@@ -103,10 +107,11 @@ def identify(
         Unknown structure, moments or disturbance, or a gain that is zero or not finite.
     """
     _require_understood(structure, known_gain, moments)
-    found = _identified(recording, structure, known_gain, moments, learned, disturbances, is_spent)
+    how = (structure, known_gain, moments, learned)
+    found = _identified(recording, *how, disturbances, is_spent, profile=profile)
     if found.model is not None or not disturbances:
         return found
-    return unnamed(found, disturbances, _identified(recording, structure, known_gain, moments, learned, (), is_spent))
+    return unnamed(found, disturbances, _identified(recording, *how, (), is_spent, profile=profile))
 
 
 def _identified(
@@ -117,6 +122,8 @@ def _identified(
     learned: LearnedModels | str | None,
     disturbances: Sequence[str],
     is_spent: Callable[[], bool] | None,
+    *,
+    profile: bool,
 ) -> Identification:
     named, still = moving(recording, disturbances)
     recording, wild = without_wild(condensed(replace(recording, notes=(*recording.notes, *still))))
@@ -143,7 +150,7 @@ def _identified(
     recording = _as_answered(recording, choice, data)
     gain = static_gain(level, cycle, known_gain, choice.best.model)
     fitted = _fitted(choice.best, recording, data, prior, step)
-    estimates = _estimates(recording, cycle, choice, fitted, gain, beside)
+    estimates = _estimates(recording, cycle, choice, _by_least_squares(choice, fitted, profile=profile), gain, beside)
     estimates[LEARNED] = _by_learned(level, estimates[LEAST_SQUARES], choice.best.counts, known_gain, beside, learned)
     warnings = (*said, *advice.warnings_about(recording, choice, estimates[LEAST_SQUARES], step, stuck))
     return replace(_answer(recording, cycle, choice, estimates, warnings, step), disturbances=found)
@@ -244,15 +251,16 @@ def _estimates(
     recording: Recording,
     cycle: LimitCycle | None,
     choice: Choice,
-    fitted: Candidate,
+    fitted: Estimate,
     gain: Known | None,
     beside: Beside | None,
 ) -> dict[str, Estimate]:
+    assert fitted.model is not None  # noqa: S101 - the choice has one
     structure = fitted.model.structure
     estimates = (
         by_describing_function(cycle, gain, fitted.model, structure, beside=beside),
         by_closed_form(cycle, gain, structure, beside),
-        _by_least_squares(choice, fitted),
+        fitted,
     )
     return {estimate.method: _simulated(estimate, recording, choice.best.counts) for estimate in estimates}
 
@@ -265,9 +273,9 @@ def _simulated(estimate: Estimate, recording: Recording, counts: BoolArray) -> E
     return replace(estimate, rmse=rmse, fit_percent=percent)
 
 
-def _by_least_squares(choice: Choice, fitted: Candidate) -> Estimate:
+def _by_least_squares(choice: Choice, fitted: Candidate, *, profile: bool) -> Estimate:
     """Return the fit of the chosen structure, with or without autoregressive noise, outside of the ranking."""
-    best, errors = choice.best, fitted.uncertainty()
+    best, errors = choice.best, fitted.uncertainty(profile=profile)
     return Estimate(
         LEAST_SQUARES,
         fitted.model,

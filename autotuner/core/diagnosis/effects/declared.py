@@ -60,8 +60,8 @@ def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
     one = [(math.log(share * slowest_s),) for share in (0.03, 0.1, 0.3, 1.0)]
     row = [(*start, 0.2 * math.exp(start[0]) / dataset.data.interval_s) for start in one]
     return (
-        Effect("extra_lag", Place.PROCESS, (lag,), one, sizes, response=response, order=5),
-        Effect("extra_lag", Place.PROCESS, (lag, later), row, sizes, "spread", response=response, order=5, price=2.0),
+        Effect("extra_lag", Place.PROCESS, (lag,), one, sizes, response=response),
+        Effect("extra_lag", Place.PROCESS, (lag, later), row, sizes, "spread", response=response, price=2.0),
     )
 
 
@@ -96,7 +96,6 @@ def _integrating() -> Effect:
         [()],
         lambda _p, _c, g: {"gain_per_s": g},
         response=response,
-        order=5,
     )
 
 
@@ -118,5 +117,4 @@ def _leaking(dataset: Dataset, slowest_s: float) -> Effect:
         lambda p, _c, g: {"gain_per_s": g / math.exp(p[0]), "leak_s": math.exp(p[0])},
         form="leaking",
         response=response,
-        order=5,
     )

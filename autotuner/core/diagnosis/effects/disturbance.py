@@ -78,7 +78,6 @@ def _load_step(dataset: Dataset) -> Effect:
         _moments(dataset),
         lambda p, c, g: {"at_s": p[0] * span, "size": c[0] / g},
         columns=columns,
-        order=7,
         price=math.log(MOMENTS),
         group="step",
     )
@@ -95,7 +94,6 @@ def load_at_the_input(dataset: Dataset) -> Effect:
         lambda p, _c, _g: {"at_s": p[0] * span, "size": p[1] * swing},
         form="at the input",
         load=lambda p, _: HeldInput(np.array([0.0, p[0] * span]), np.array([0.0, p[1] * swing])),
-        order=7,
         price=math.log(MOMENTS),
         group="step",
     )
@@ -115,7 +113,6 @@ def _bias_step(dataset: Dataset, moments: Sequence[float]) -> Effect:
         [(at_s / span,) for at_s in moments],
         lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
         columns=columns,
-        order=8,
         price=math.log(2 * MOMENTS),
         group="step",
         blur=lambda _p: {"at_s": 0.5 * interval},
@@ -153,7 +150,6 @@ def _drifts(dataset: Dataset) -> tuple[Effect, ...]:
             sizes,
             form=form,
             columns=columns,
-            order=7,
             price=2.0 if form else 0.0,
             group="slow",
         )
@@ -226,7 +222,6 @@ def _measured(dataset: Dataset, name: str) -> tuple[Effect, ...]:
             lambda p, c, _g: {"gain": c[0], **({"lag_s": math.exp(p[0])} if len(p) else {})},
             form=f"{name} {way}".strip(),
             columns=columns,
-            order=7,
             group=f"column {name}",
             measured=True,
         )

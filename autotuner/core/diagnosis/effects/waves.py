@@ -66,7 +66,6 @@ def periodic_disturbances(dataset: Dataset, residuals: Sequence[FloatArray]) -> 
             sizes,
             form=form,
             columns=columns,
-            order=7,
             price=_price(dataset),
         )
 
@@ -92,7 +91,6 @@ def _late_wave(dataset: Dataset, lines: Sequence[float]) -> Effect:
         lambda p, c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(*c[:2]), "from_s": p[1] * span},
         form="begins",
         columns=columns,
-        order=7,
         price=_price(dataset) + math.log(len(BEGINS)),
     )
 
@@ -135,7 +133,6 @@ def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
         lambda p, _c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(p[1], p[2]) * swing},
         form="switched at the input" if switched else "at the input",
         load=load,
-        order=7,
         price=_price(dataset),
     )
 

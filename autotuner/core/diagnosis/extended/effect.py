@@ -34,6 +34,10 @@ class Place(StrEnum):
     SENSOR = "sensor"
 
 
+ROW = {Place.ACTUATOR: 0, Place.PROCESS: 5, Place.DISTURBANCE: 7, Place.SENSOR: 8}
+"""Places of effects in the row from output to PV."""
+
+
 @dataclass(frozen=True, slots=True)
 class Searched:
     """A number that is searched for.
@@ -125,8 +129,9 @@ class Effect:
         From the values of `searched` and the recording, a load at the input of the process, output units.
     sizes : callable
         From the values of `searched`, the sizes of `columns` and the gain to the reported sizes, in engineering units.
-    order : int
-        Place in a row of actuator effects.
+    order : int, optional
+        Place in the row of effects from output to PV; 0 to 4 in the actuator, where nothing else is given that of its
+        place.
     price : float
         Additional penalty besides its parameters.
     group : str
@@ -160,7 +165,7 @@ class Effect:
     columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     slopes: Callable[[View, Sequence[float]], FloatArray] | None = None
     load: Callable[[Sequence[float], Dataset], HeldInput] | None = None
-    order: int = 0
+    order: int | None = None
     price: float = 0.0
     group: str = ""
     measured: bool = False
@@ -170,6 +175,11 @@ class Effect:
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     lateness_s: Callable[[Sequence[float]], float] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
+
+    @property
+    def rank(self) -> int:
+        """Place in the row of effects from output to PV."""
+        return ROW[self.place] if self.order is None else self.order
 
     @property
     def key(self) -> str:

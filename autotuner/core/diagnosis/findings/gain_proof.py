@@ -4,8 +4,8 @@ Gains are refused where
 
 1. the process alone is the inverse of the controller;
 2. a gain of the other sign explains the record about as well, or the sign changes with the effects;
-3. the record is not explained, and `identify` refuses it;
-4. the record is not explained, and the model leaves more of the PV's motion than a tuning allows.
+3. the record is not explained, and the model leaves more of the PV's motion than a tuning allows;
+4. the record is not explained, and `identify` refuses it.
 
 The records of a tuning are judged by the tuning itself, by the same figures.
 """
@@ -62,12 +62,12 @@ def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outco
 
 def _why_no_plain_gains(recording: Recording, plain: ProcessModel, fitted: Misfit) -> str | None:
     """Return why the model without effects is no basis for gains where an effect is missing; None where it is one."""
-    answer = identify(recording)
-    if answer.model is None:
-        return answer.verdict.message
     moved = float(np.std(recording.pv))
     share = math.sqrt(max(fitted.before**2 - fitted.expected**2, 0.0)) / moved if moved > 0.0 else 1.0
     if share > most_unexplained(plain):
         return f"the model leaves {share:.0%} of the PV's motion unexplained"
+    answer = identify(recording, profile=False)
+    if answer.model is None:
+        return answer.verdict.message
     agrees = answer.model.K * plain.K > 0.0
     return None if agrees else "the sign of the gain depends on how the process is fitted"

@@ -260,7 +260,10 @@ def with_process_friction(context: FitContext, alone: Fitted) -> list[Fitted]:
         starts = [np.array([math.log(lag * interval), 0.0, *s]) for lag in AXIS_LAGS for s in effect.starts]
         ranked = without_rounding(starts, partial(linearised, problem))
         coarse = [fit(replace(problem, rows=context.coarse), theta, STEPS) for theta in ranked[:FOLLOWED]]
-        alike = refined(context, closest_first(coarse)[0])
+        nearest = closest_first(coarse)[0]
+        if nearest.rms > alone.rms:
+            continue
+        alike = refined(context, nearest)
         each = replace(alike.problem, effects=(process_friction(context.dataset, by_direction=True),))
         beyond = len(structure.shape) + 3  # the process, Coulomb friction and constant are before the ratio
         found += [alike, fit(each, np.insert(alike.theta, beyond, 0.0), STEPS)]

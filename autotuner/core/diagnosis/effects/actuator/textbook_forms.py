@@ -117,7 +117,6 @@ def quantisation(dataset: Dataset, form: str, steps: Sequence[tuple[float, float
         lambda p, _c, _g: {"step": p[0] * swing},
         form=form,
         position=grid,
-        order=0,
         blur=lambda p: {"step": ORIGIN_LEFT * p[0] ** 2 * swing},
     )
 
@@ -135,7 +134,6 @@ def updated_every(dataset: Dataset, grids: Sequence[tuple[float, float]]) -> Eff
         [(math.log(period), phase) for period, phase in grids],
         lambda p, _c, _g: {"period_s": math.exp(p[0])},
         position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
-        order=0,
         group="timing",
         lateness_s=lambda p: math.exp(p[0]) / math.sqrt(12.0),
         blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / dataset.span_s},

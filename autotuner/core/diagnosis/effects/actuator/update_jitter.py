@@ -157,7 +157,6 @@ def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effe
         form="uneven",
         position=position,
         slopes=slopes,
-        order=0,
         group="timing",
         unseen_after=True,
         lateness_s=lambda p: spread_of(p, steps) * interval,

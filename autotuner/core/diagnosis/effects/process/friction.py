@@ -80,7 +80,6 @@ def process_friction(dataset: Dataset, *, by_direction: bool = False) -> Effect:
         sizes,
         form=BY_DIRECTION if by_direction else ALIKE,
         response=response,
-        order=5,
         group="friction",
     )
 

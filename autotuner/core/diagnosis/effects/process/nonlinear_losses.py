@@ -72,7 +72,6 @@ def _cubic(dataset: Dataset, base: Fitted) -> Effect:
         lambda p, _c, g: {"cubic_per_pv2": p[0] / (half * g) ** 2, "square_per_pv": p[1] / (half * g)},
         form="cubic",
         response=response,
-        order=5,
         price=2.0,
         group="loss",
     )
@@ -107,7 +106,6 @@ def _of_the_last_store(dataset: Dataset, base: Fitted) -> Effect:
         lambda p, _c, g: {"cubic_per_pv2": p[1] / (half * g) ** 2, "square_per_pv": p[2] / (half * g)},
         form="of the last store",
         response=response,
-        order=5,
         price=3.0,
         group="loss",
     )
@@ -130,7 +128,6 @@ def _loss(dataset: Dataset, form: str, power: float) -> Effect:
         lambda p, _c, g: {"loss_per_pv": p[0] / (swing * g)},
         form=form,
         response=response,
-        order=5,
         group="loss",
     )
 

@@ -99,7 +99,6 @@ def shaped_stores(dataset: Dataset, curved: Sequence[float]) -> Effect:
         sizes,
         form=SHAPED,
         response=response,
-        order=5,
         price=5.0,
     )
 

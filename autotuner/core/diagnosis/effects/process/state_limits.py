@@ -66,7 +66,6 @@ def overflowing_stores(dataset: Dataset) -> Effect:
         sizes,
         form=STORES,
         response=response,
-        order=5,
         price=3.0,
     )
 

@@ -86,7 +86,6 @@ def _overflows(dataset: Dataset, gain: float) -> tuple[Effect, ...]:
             sizes,
             form=name,
             response=response,
-            order=5,
         )
 
     def spilling() -> Effect:
@@ -104,7 +103,6 @@ def _overflows(dataset: Dataset, gain: float) -> tuple[Effect, ...]:
             lambda p, _c, g: {"limit_above_rest": g * (extreme - p[0] * swing), "strength": math.exp(p[1])},
             form="spills",
             response=response,
-            order=5,
             price=2.0,
         )
 
@@ -173,7 +171,6 @@ def _slow_mode(dataset: Dataset) -> tuple[Effect, ...]:
             sizes,
             form,
             columns=columns,
-            order=5,
             price=price,
             group="soak",
             means=lambda p, c, g, shape: all(n * g > 0.0 for n in c) and math.exp(p[0]) > max(shape, default=0.0),
@@ -196,7 +193,6 @@ def _inverse_response() -> Effect:
         [()],
         lambda _p, c, g: {"Z": -c[0] / g},
         columns=columns,
-        order=5,
         makes_late=True,
         means=lambda _p, c, g, _shape: c[0] * g < 0.0,
     )
@@ -222,7 +218,6 @@ def third_lag(dataset: Dataset, base: Fitted) -> Effect:
         lambda p, _c, _g: {"time_constant_s": math.exp(p[0])},
         form="third",
         response=response,
-        order=5,
         makes_late=True,
     )
 
@@ -240,7 +235,6 @@ def _gain_drift(dataset: Dataset) -> Effect:
         [()],
         lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
         columns=columns,
-        order=5,
         group="gain in time",
     )
 
@@ -268,7 +262,6 @@ def _not_settled() -> Effect:
         [()],
         lambda _p, c, _g: {"pv_off_at_start": c[0]},
         columns=columns,
-        order=6,
         group="start",
         unseen_after=True,
     )
