@@ -42,7 +42,7 @@ ONE_OTHER = 0.4
 """The same for the effect alone, whatever else acts at its place: two equally likely other names make it a guess."""
 MOST_OPEN = 0.5
 """Half width of a 95 % interval over the value, from which the value is not determined by the record."""
-TIMES = ("T", "T1", "T2", "D")
+TIMES = ("T", "T1", "T2", "T3", "D")
 """Parameters whose sum is the response time of a process without oscillation."""
 DAMPING = "n"
 

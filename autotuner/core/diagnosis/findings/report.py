@@ -35,6 +35,7 @@ from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.diagnosis.search.judge import noise_of
+from autotuner.core.diagnosis.search.simplify import with_third_lag
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.process import model_to_dict
 from autotuner.core.signals.noise import rms
@@ -104,7 +105,7 @@ def reported(
     sensor's effects, `first` the process alone, `model` the declared model or None, and `requested` the design of
     the gains.
     """
-    effects, found, spread_s = _all_effects(context, found, sensor)
+    effects, found, spread_s = _all_effects(context, found, sensor, model)
     coloured = None if effects else coloured_noise(context, found.chosen)
     noise = max(noise_of(context, first.best), 0.0 if coloured is None else coloured.noise)
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
@@ -151,14 +152,19 @@ def reported(
 
 
 def _all_effects(
-    context: FitContext, found: Trace, sensor: SensorRecord
+    context: FitContext, found: Trace, sensor: SensorRecord, model: ProcessModel | None
 ) -> tuple[tuple[FoundEffect, ...], Trace, float]:
-    """Return the effects with the sensor's own, the trace as those leave it, and the spread of sampling times, s."""
+    """Return the effects with the sensor's own, the trace as those leave it, and the spread of sampling times, s.
+
+    Without a declared model, the process of the trace has a third lag where the record shows one.
+    """
     findings, found = sensor_findings(context, found, sensor)
+    chosen = with_third_lag(context, found.chosen) if model is None else found.chosen
     named = {f.effect.name for f in findings}
-    effects = (*(e for e in _effects(context, found) if e.name not in named), *(f.effect for f in findings))
+    effects = (*(e for e in _effects(context, found, chosen) if e.name not in named), *(f.effect for f in findings))
     effects = tuple(sorted(effects, key=lambda e: e.form == OWN_ORDER))
-    return effects, found, sum(f.spread_s for f in findings)
+    alone = chosen if found.chosen is found.alone else found.alone
+    return effects, replace(found, alone=alone, chosen=chosen), sum(f.spread_s for f in findings)
 
 
 def _outcome(
@@ -224,8 +230,8 @@ def _model(context: FitContext, found: Trace, covariance: FloatArray | None) -> 
     return {**reported, "interval95": ends}
 
 
-def _effects(context: FitContext, found: Trace) -> tuple[FoundEffect, ...]:
-    chosen = found.chosen
+def _effects(context: FitContext, found: Trace, chosen: Fitted) -> tuple[FoundEffect, ...]:
+    """Return the effects as `chosen` has them; they compete with all others beside the process of the search."""
     if not chosen.problem.effects:
         return ()
     elsewhere = context.held_out_error(chosen) / context.expected(chosen, found.noise)

@@ -3,7 +3,8 @@
 pair of lags -> one lag      form of friction with two numbers -> plain play
 drift that settles as fast as the process answers -> load step
 
-One is made richer: stores that overflow -> stores of any shape, whose search needs these to begin from.
+Two are made richer: stores that overflow -> stores of any shape, whose search needs these to begin from; and a pair of
+lags -> three, which is no effect, but whose absence biases the gain by many of its standard errors.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
-from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, is_shown, weigh
+from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import FINE_STEPS
-from autotuner.core.model.structures import FOPDT, SECOND_ORDER
+from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +34,8 @@ NEARBY = (-3, -2, -1, 1, 2, 3)
 """Samples."""
 STRONG = 10.0
 """Improvement required of a drift shaped like the response: very strong evidence (Kass, Raftery 1995)."""
+THIRD = (0.05, 0.2)
+"""Initial guesses of a third lag, relative to the sum of the two."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -45,6 +48,22 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
     shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
     single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
     return _plainer(context, chosen, single)
+
+
+def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
+    """Return the explanation with a third lag of the process where noise hides it, and both parts speak for it."""
+    problem = chosen.problem
+    other = any(e.response is not None or e.makes_late for e in problem.effects)
+    if problem.structure is not SECOND_ORDER or problem.fixed is not None or other or context.dataset.budget.spent:
+        return chosen
+    if chosen.rms > NOTHING_LEFT * noise_of(context, chosen):
+        return chosen
+    thinned = replace(problem, structure=THIRD_ORDER, rows=context.coarse)
+    starts = (np.insert(chosen.theta, 2, chosen.theta[0] + np.log(share)) for share in THIRD)
+    coarse = closest_first(fit(thinned, start, QUICK_STEPS) for start in starts)[0]
+    richer = fit(replace(thinned, rows=context.fine), coarse.theta, FINE_STEPS)
+    evidence = weigh(context, chosen, richer)
+    return richer if is_physical(richer) and evidence.gain > 0.0 and evidence.held_out_ratio < 1.0 else chosen
 
 
 def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
