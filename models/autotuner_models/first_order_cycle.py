@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 
 import scipy
 
-from autotuner.core.identification.limit_cycle.closed_form import too_large, with_dead_time
+from autotuner.core.identification.limit_cycle.inverse_cycle import too_large, with_dead_time
 from autotuner.core.model.process import Fopdt
 from autotuner.errors import InputError
 

@@ -84,7 +84,9 @@ class Pair:
         """Return the response (and its slope), and their slopes."""
         between = held.spans_s
         p00, p01, p10, p11 = self.transition(between)
-        off = accumulate_states(((p00, p01), (p10, p11)), np.outer(held.steps, (-1.0, 0.0)))
+        shifts = np.zeros((between.size, 2))
+        shifts[:, 0] = -held.steps
+        off = accumulate_states(((p00, p01), (p10, p11)), shifts)
         index, since = held.locate(when)
         p00, p01, p10, p11 = self.transition(since)
         z, slope = off[index, 0], off[index, 1]

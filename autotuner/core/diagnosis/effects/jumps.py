@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.extended_model import apart
 from autotuner.core.diagnosis.record.sensor import comes_back
 from autotuner.core.estimation.linear_least_squares import solve_linear
 
@@ -48,12 +49,7 @@ def jump_moments(base: Fitted) -> list[float]:
     own = after - np.sum(_from_the_end(q) ** 2, axis=1)
     fall = np.where(own > LEAST_OWN * after, _from_the_end(left) ** 2 / np.maximum(own, LEAST_OWN), 0.0)
     fall[:APART] = 0.0
-    found: list[int] = []
-    for k in np.argsort(-fall).tolist():
-        if all(abs(k - other) >= APART for other in found):
-            found.append(k)
-        if len(found) == KEPT:
-            break
+    found = apart(np.argsort(-fall).tolist(), lambda k, other: abs(k - other), APART, KEPT)
     t = dataset.data.t[rows]
     return [float(t[k] + t[k - 1]) / 2.0 for k in found]
 

@@ -298,6 +298,17 @@ def without_rounding(
     return [given[k] for _, _, k in sorted(keys)]
 
 
+def apart(order: Iterable[int], distance: Callable[[int, int], float], least: float, most: int) -> list[int]:
+    """Return the first of an order that are at least so far from each other, `most` at most."""
+    found: list[int] = []
+    for k in order:
+        if all(distance(k, other) >= least for other in found):
+            found.append(k)
+        if len(found) == most:
+            break
+    return found
+
+
 def plainness(candidate: Fitted) -> tuple[float, tuple[str, ...]]:
     """Return the tie-break of explanations with the same misfit: number of parameters and penalty, then names."""
     return candidate.size + candidate.price, tuple(effect.key for effect in candidate.problem.effects)

@@ -30,17 +30,7 @@ KEPT = (0.7, 0.3)
 
 
 def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the process with each effect that makes an answer late, fitted on all samples, where that is closer.
-
-    Parameters
-    ----------
-    context : FitContext
-        The recording.
-    base : Base
-        The process alone.
-    effects : sequence of Effect
-        The catalogue.
-    """
+    """Return the process with each effect that makes an answer late, fitted on all samples, where that is closer."""
     pair = next((o for o in base.origins if _is_free_pair(o)), None)
     if pair is None:
         return []

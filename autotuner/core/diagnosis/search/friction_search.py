@@ -35,6 +35,7 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import (
     Extended,
     Fitted,
+    apart,
     closest_first,
     fit,
     linearised,
@@ -83,17 +84,7 @@ error after over before, on both parts, under which it is an explanation."""
 
 
 def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return processes with each kind of friction, fitted on all samples; none where no valve of a loop may stick.
-
-    Parameters
-    ----------
-    context : FitContext
-        The recording.
-    base : Base
-        The process alone.
-    effects : sequence of Effect
-        The catalogue.
-    """
+    """Return processes with each kind of friction, fitted on all samples; none where no valve of a loop may stick."""
     seen = waiting_of(context.dataset)
     if not (context.dataset.in_loop or seen.sticks) or seen.follows or context.dataset.budget.spent:
         return []
@@ -158,13 +149,9 @@ def _as_good_elsewhere(context: FitContext, candidate: Fitted) -> Fitted:
 
 def _apart(bands: Bands, squares: FloatArray) -> list[tuple[int, int]]:
     """Return process and bands of the smallest squares, at travels that lie apart."""
-    travels, kept = bands.bands * (1.0 + bands.left), dict[int, int]()
-    for m in np.argsort(squares.min(axis=0), kind="stable").tolist():
-        if all(abs(travels[m] / travels[other] - 1.0) > APART for other in kept):
-            kept[m] = int(np.argmin(squares[:, m]))
-        if len(kept) == FOLLOWED:
-            break
-    return [(n, m) for m, n in kept.items()]
+    travels, order = bands.bands * (1.0 + bands.left), np.argsort(squares.min(axis=0), kind="stable").tolist()
+    kept = apart(order, lambda m, other: abs(travels[m] / travels[other] - 1.0), APART, FOLLOWED)
+    return [(int(np.argmin(squares[:, m])), m) for m in kept]
 
 
 def _started(
@@ -239,13 +226,6 @@ def with_process_friction(context: FitContext, alone: Fitted) -> list[Fitted]:
     """Return a lag and an integrating process with dry friction where that explains a record far better; else none.
 
     The process alone is not a start: with friction, a lag is identified as too short.
-
-    Parameters
-    ----------
-    context : FitContext
-        The recording.
-    alone : Fitted
-        The process alone.
     """
     if (
         context.dataset.tuned

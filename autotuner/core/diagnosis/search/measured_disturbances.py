@@ -59,17 +59,7 @@ class Known:
 
 
 def with_known(context: FitContext, alone: Fitted, effects: Sequence[Effect]) -> Known:
-    """Return the process with the measured disturbances that help on the part not fitted, the most helpful first.
-
-    Parameters
-    ----------
-    context : FitContext
-        The recording.
-    alone : Fitted
-        The process alone.
-    effects : sequence of Effect
-        The catalogue.
-    """
+    """Return the process with the measured disturbances that help on the part not fitted, the most helpful first."""
     best, tried = alone, dict[str, Fitted]()
     measured = [e for e in effects if e.measured]
     while measured:

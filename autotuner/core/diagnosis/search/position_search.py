@@ -48,13 +48,6 @@ STEPS = (np.linspace(-0.006, 0.006, 61), np.linspace(-0.003, 0.003, 61), np.lins
 def with_positions(context: FitContext, base: Base) -> list[Fitted]:
     """Return the process with updates at even times and with steps; none where no controller moves the output.
 
-    Parameters
-    ----------
-    context : FitContext
-        The recording.
-    base : Base
-        The process alone.
-
     Returns
     -------
     list of Fitted

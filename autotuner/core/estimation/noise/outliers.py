@@ -44,13 +44,7 @@ WILD, WILD_AT_PULSE = 3.0, 30.0
 
 
 def without_wild(recording: Recording) -> tuple[Recording, BoolArray]:
-    """Return a recording whose wild readings are replaced by their neighbours' median, a note, and these readings.
-
-    Parameters
-    ----------
-    recording : Recording
-        Any recording.
-    """
+    """Return a recording whose wild readings are replaced by their neighbours' median, a note, and these readings."""
     pv, rows = recording.pv, np.zeros(len(recording), dtype=np.bool_)
     if pv.size < WINDOW:
         return recording, rows

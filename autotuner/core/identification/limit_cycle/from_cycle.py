@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from autotuner.core.identification.limit_cycle import closed_form, describing_function, inverse_cycle
+from autotuner.core.identification.limit_cycle import describing_function, inverse_cycle
 from autotuner.core.identification.result import Estimate, refuse
 from autotuner.core.signals.static_gain import gain_from_cycles
 from autotuner.errors import InputError
@@ -28,7 +28,7 @@ DESCRIBING_FUNCTION = "describing_function"
 CLOSED_FORM = "closed_form"
 DF_STRUCTURES = ("fopdt", "sopdt_overdamped", "sopdt_underdamped")
 EXACT: dict[str, Callable[[float, LimitCycle], ProcessModel]] = {
-    "fopdt": closed_form.fopdt_of_response,
+    "fopdt": inverse_cycle.fopdt_of_response,
     "sopdt_overdamped": inverse_cycle.sopdt_of_cycle,
     "sopdt_underdamped": inverse_cycle.sopdt_of_cycle,
     "integrating": lambda K, cycle: inverse_cycle.integrating_of_cycle(cycle, K),

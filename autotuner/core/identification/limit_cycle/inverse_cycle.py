@@ -4,6 +4,7 @@ The fundamentals of relay and PV determine the size of the response at the cycle
 determines the remaining shape, because it depends on the harmonics too:
 
     |G(jw)| = A1/U1                             w = 2 pi/Pu
+    first order    T = sqrt(r^2 - 1)/w,  D = (lag - atan(w T))/w: every sample counts for the two fundamentals
     second order   1 - m w^2 = r cos psi,  n w = r sin psi,  r = K U1/A1;  psi by the peak
     integrating    T by the ratio of peak to fundamental, then K by the fundamental
     unstable       (w T)^2 = r^2 - 1
@@ -41,7 +42,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.model.process import Integrating, UnstableFopdt, second_order
+from autotuner.core.model.process import Fopdt, Integrating, UnstableFopdt, second_order
 from autotuner.core.model.step_responses import Pair
 from autotuner.errors import InputError
 
@@ -58,6 +59,22 @@ SHORTEST, LONGEST = 1e-4, 1e3
 """Lag of an integrating process searched for, in periods."""
 SAME_DEAD_TIME = 0.05
 """Difference of the dead times from the two switches, in periods, up to which they are the same crossing."""
+
+
+def fopdt_of_response(K: float, cycle: LimitCycle) -> Fopdt:
+    """Return the first-order process of static gain `K` whose response at the period is that of the cycle.
+
+    Raises
+    ------
+    InputError
+        The fundamental reaches `|K| U1`, or the cycle has no dead time in it.
+    """
+    ratio, w = abs(K) * cycle.relay_fundamental / cycle.A1, 2.0 * math.pi / cycle.Pu
+    if not ratio > 1.0:
+        raise too_large(K, cycle.A1, cycle.relay_fundamental)
+    turn = math.sqrt((ratio - 1.0) * (ratio + 1.0))
+    lag = (cycle.lag_rad - (math.pi if K < 0.0 else 0.0)) % (2.0 * math.pi)
+    return with_dead_time(K, turn / w, (lag - math.atan(turn)) / w)
 
 
 def sopdt_of_cycle(K: float, cycle: LimitCycle) -> SopdtOverdamped | SopdtUnderdamped:
@@ -141,6 +158,28 @@ def unstable_of_cycle(K: float, cycle: LimitCycle) -> UnstableFopdt:
     if not found:
         raise _none("an unstable lag")
     return UnstableFopdt(K, T, min(found)[1])
+
+
+def with_dead_time(K: float, T: float, D: float) -> Fopdt:
+    """Return the process; raises `InputError` for a negative dead time."""
+    if D < 0.0:
+        raise InputError(
+            f"turns {-D:g} s before the relay switches",
+            field="limit_cycle",
+            value=D,
+            remedy="Sample faster, or use least squares.",
+        )
+    return Fopdt(K, T, D)
+
+
+def too_large(K: float, A: float, h: float) -> InputError:
+    """Return the error for an amplitude `A` that no first-order process of gain `K` reaches with a swing `h`."""
+    return InputError(
+        f"times h = {h:g} does not exceed the amplitude {A:g}: a first-order process of this gain stays below it",
+        field="K",
+        value=K,
+        remedy="Check the static gain; an underdamped process needs another structure.",
+    )
 
 
 def _dead_times(wave: Wave, cycle: LimitCycle) -> list[tuple[float, float]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.extended_model import SAME_MISFIT, without_rounding
+from autotuner.core.diagnosis.extended.extended_model import SAME_MISFIT, apart, without_rounding
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput
@@ -63,14 +63,9 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
 def _likeliest(fall: FloatArray, steps: FloatArray, origins: FloatArray) -> list[tuple[float, float]]:
     """Return the grids that explain most, each from the middle of its plateau; of plateaus as high the widest first."""
     plateaus = without_rounding(_plateaus(fall), lambda of: -float(fall[of].max()), lambda of: (of.start - of.stop,))
-    found: list[tuple[float, float]] = []
-    for of in plateaus:
-        middle = (of.start + of.stop - 1) // 2
-        if all(abs(steps[middle] / step - 1.0) >= APART for step, _ in found):
-            found.append((float(steps[middle]), float(origins[middle])))
-        if len(found) == KEPT:
-            break
-    return found
+    middles = [(of.start + of.stop - 1) // 2 for of in plateaus]
+    kept = apart(middles, lambda k, other: abs(steps[k] / steps[other] - 1.0), APART, KEPT)
+    return [(float(steps[k]), float(origins[k])) for k in kept]
 
 
 def _plateaus(fall: FloatArray) -> list[slice]:

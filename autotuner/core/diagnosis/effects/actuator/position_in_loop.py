@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.extended.extended_model import apart
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -113,13 +114,8 @@ def _liveliest(dataset: Dataset, rows: IntArray) -> IntArray:
 
 def _best(falls: FloatArray, values: FloatArray, most: int) -> list[int]:
     """Return where the squares fall most, at values that lie apart."""
-    found: list[int] = []
-    for k in np.argsort(-falls, kind="stable").tolist():
-        if all(abs(values[k] / values[other] - 1.0) > APART for other in found):
-            found.append(k)
-        if len(found) == most:
-            break
-    return found
+    order = np.argsort(-falls, kind="stable").tolist()
+    return apart(order, lambda k, other: abs(values[k] / values[other] - 1.0), APART, most)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

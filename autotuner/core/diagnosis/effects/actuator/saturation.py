@@ -24,13 +24,25 @@ if TYPE_CHECKING:
 CORNER = 0.05
 """Width of a rounded corner at the start of the search, in swings."""
 SHARES = (0.05, 0.12, 0.2, 0.3, 0.42)
-LOW, HIGH = 0, 1
 SIDES = ("low", "high")
 
 
 def saturations(dataset: Dataset) -> tuple[Effect, ...]:
     """Return limits above, below, on both sides, and rounded ones."""
-    return _one_sided(dataset, HIGH), _one_sided(dataset, LOW), _both_sided(dataset), _soft(dataset)
+    one, two = [(share,) for share in SHARES], [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)]
+    soft = [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)]
+    width = Searched("width", 0.005, 0.5, 1e-4)
+    return (
+        _limits(dataset, "high", _of(("high",), 0.9), one),
+        _limits(dataset, "low", _of(("low",), 0.9), one),
+        _limits(dataset, "both", _of(SIDES, 0.6), two),
+        _limits(dataset, "soft", (*_of(SIDES, 0.6), width), soft),
+    )
+
+
+def _of(sides: Sequence[str], most: float) -> tuple[Searched, ...]:
+    """Return limits that lie by shares of the swing inside of the output's range."""
+    return tuple(Searched(side, 0.0, most, 1e-4) for side in sides)
 
 
 def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> HeldInput:
@@ -51,59 +63,30 @@ def clipped(held: HeldInput, p: Sequence[float], dataset: Dataset) -> HeldInput:
     return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
 
 
-def _one_sided(dataset: Dataset, side: int) -> Effect:
-    def both(p: Sequence[float]) -> tuple[float, float]:
-        return (p[0], 0.0) if side == LOW else (0.0, p[0])
+def _limits(dataset: Dataset, form: str, searched: tuple[Searched, ...], starts: Sequence[tuple[float, ...]]) -> Effect:
+    names = [one.name for one in searched]
 
-    return Effect(
-        "saturation",
-        Place.ACTUATOR,
-        (Searched(SIDES[side], 0.0, 0.9, 1e-4),),
-        [(share,) for share in SHARES],
-        lambda p, _c, _g: {SIDES[side]: dataset.output0 + _ends(dataset, *both(p))[side]},
-        form=SIDES[side],
-        position=lambda held, p, dataset: clipped(held, both(p), dataset),
-        order=1,
-        group="curve",
-    )
+    def shares(p: Sequence[float]) -> tuple[float, float]:
+        known = dict(zip(names, p, strict=True))
+        return known.get("low", 0.0), known.get("high", 0.0)
 
-
-def _sizes(dataset: Dataset) -> Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]:
-    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        return {name: dataset.output0 + end for name, end in zip(SIDES, _ends(dataset, p[0], p[1]), strict=True)}
-
-    return sizes
-
-
-TWO = (Searched("low", 0.0, 0.6, 1e-4), Searched("high", 0.0, 0.6, 1e-4))
-
-
-def _both_sided(dataset: Dataset) -> Effect:
-    return Effect(
-        "saturation",
-        Place.ACTUATOR,
-        TWO,
-        [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)],
-        _sizes(dataset),
-        form="both",
-        position=clipped,
-        order=1,
-        group="curve",
-    )
-
-
-def _soft(dataset: Dataset) -> Effect:
     def position(held: HeldInput, p: Sequence[float], dataset: Dataset) -> HeldInput:
-        low, high = _ends(dataset, p[0], p[1])
-        return map_levels(held, lambda u: rounded(u, low, high, p[2] * dataset.swing))
+        if "width" not in names:
+            return clipped(held, shares(p), dataset)
+        low, high = _ends(dataset, *shares(p))
+        return map_levels(held, lambda u: rounded(u, low, high, p[-1] * dataset.swing))
+
+    def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
+        both = zip(SIDES, _ends(dataset, *shares(p)), strict=True)
+        return {side: dataset.output0 + end for side, end in both if side in names}
 
     return Effect(
         "saturation",
         Place.ACTUATOR,
-        (*TWO, Searched("width", 0.005, 0.5, 1e-4)),
-        [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)],
-        _sizes(dataset),
-        form="soft",
+        searched,
+        starts,
+        sizes,
+        form=form,
         position=position,
         order=1,
         group="curve",

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.extended.extended_model import apart
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput, unit_step
@@ -92,16 +93,10 @@ def _grids(dataset: Dataset, moments: FloatArray, late: FloatArray, weight: Floa
     count = min(int(FINENESS * dataset.span_s / interval), MOST_PERIODS)
     rates = np.linspace(1.0 / longest, 1.0 / (1.3 * interval), count)
     turns = np.exp(2j * np.pi * np.outer(rates, moments + late)) @ (weight / weight.sum())
-    found: list[tuple[float, float]] = []
-    for k in np.argsort(-np.abs(turns)):
-        period = float(1.0 / rates[k])
-        if all(abs(period / p - 1.0) > APART for p, _ in found):
-            # The update before a move's own is the one that the least late one did not wait for.
-            phase = float(np.angle(turns[k])) / (2.0 * np.pi) - float(late.min()) / period
-            found.append((period, phase % 1.0))
-        if len(found) == KEPT:
-            break
-    return found
+    kept = apart(np.argsort(-np.abs(turns)).tolist(), lambda k, other: abs(rates[other] / rates[k] - 1.0), APART, KEPT)
+    # The update before a move's own is the one that the least late one did not wait for.
+    phases = [float(np.angle(turns[k])) / (2.0 * np.pi) - float(late.min() * rates[k]) for k in kept]
+    return [(float(1.0 / rates[k]), phase % 1.0) for k, phase in zip(kept, phases, strict=True)]
 
 
 def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effect | None:

@@ -48,7 +48,7 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion := _motion_of(base), Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    last = () if rings else (_of_the_last_store(dataset, base),)
+    last = () if rings else (_cubic(dataset, base, last=True),)
     return (*(_loss(dataset, form, power) for form, power in FORMS.items()), free, *last)
 
 
@@ -57,22 +57,28 @@ def _motion_of(base: Fitted) -> Motion:
     return base.problem.structure.motion(shape, base.problem.dataset.span_s)
 
 
-def _cubic(dataset: Dataset, base: Fitted) -> Effect:
-    """Return a loss or a spring with a square and a cubic part; numbers are shares of the linear one at half range."""
+def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
+    """Return a loss or a spring with a square and a cubic part; numbers are shares of the linear one at half range.
+
+    With `last` it is that of the last of two stores in a row alone.
+    """
     half = _half_range(dataset, base)
+    slow = (Searched("slow_last", 0.0, 1.0, 0.0),) if last else ()
+    of_last = [(which, b, a) for which in (0.0, 1.0) for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        return with_loss(view, *_cubic_law(p[1] / half, p[0] / half**2))
+        law = _cubic_law(p[-1] / half, p[-2] / half**2)
+        return with_loss_at_the_end(view, *law, slow_last=p[0] > 0.5) if last else with_loss(view, *law)
 
     return Effect(
         "nonlinear_loss",
         Place.PROCESS,
-        (Searched("cubic", -0.3, 30.0, 1e-4), Searched("square", -3.0, 3.0, 1e-4)),
-        [(b, 0.0) for b in (0.03, 0.2, 0.8, 3.0)],
-        lambda p, _c, g: {"cubic_per_pv2": p[0] / (half * g) ** 2, "square_per_pv": p[1] / (half * g)},
-        form="cubic",
+        (*slow, Searched("cubic", -0.3, 30.0, 1e-4), Searched("square", -3.0, 3.0, 1e-4)),
+        of_last if last else [(b, 0.0) for b in (0.03, 0.2, 0.8, 3.0)],
+        lambda p, _c, g: {"cubic_per_pv2": p[-2] / (half * g) ** 2, "square_per_pv": p[-1] / (half * g)},
+        form="of the last store" if last else "cubic",
         response=response,
-        price=2.0,
+        price=3.0 if last else 2.0,
         group="loss",
     )
 
@@ -85,30 +91,6 @@ def _half_range(dataset: Dataset, base: Fitted) -> float:
 def _cubic_law(a: float, b: float) -> tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
     """Return `-(a w^2 + b w^3)` and its slope."""
     return lambda w: -(a + b * w) * w * w, lambda w: -(2.0 * a + 3.0 * b * w) * w
-
-
-def _of_the_last_store(dataset: Dataset, base: Fitted) -> Effect:
-    """Return the same of two stores in a row, of which the last one alone loses more, or less, than in proportion."""
-    half = _half_range(dataset, base)
-
-    def response(view: View, p: Sequence[float]) -> FloatArray:
-        return with_loss_at_the_end(view, *_cubic_law(p[2] / half, p[1] / half**2), slow_last=p[0] > 0.5)
-
-    return Effect(
-        "nonlinear_loss",
-        Place.PROCESS,
-        (
-            Searched("slow_last", 0.0, 1.0, 0.0),
-            Searched("cubic", -0.3, 30.0, 1e-4),
-            Searched("square", -3.0, 3.0, 1e-4),
-        ),
-        [(last, b, a) for last in (0.0, 1.0) for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))],
-        lambda p, _c, g: {"cubic_per_pv2": p[1] / (half * g) ** 2, "square_per_pv": p[2] / (half * g)},
-        form="of the last store",
-        response=response,
-        price=3.0,
-        group="loss",
-    )
 
 
 def _loss(dataset: Dataset, form: str, power: float) -> Effect:
