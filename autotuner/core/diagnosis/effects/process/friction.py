@@ -115,12 +115,13 @@ def _course(
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocity and position at some times, by the forces and the times from which on each of them acts."""
     pieces = []
-    v, x = axis.velocity, 0.0
+    v, x, c = axis.velocity, 0.0, axis.coulomb
+    viscous = {way: axis.viscous(way) for way in (1.0, -1.0)}
     lengths = np.diff(begins, append=max(t[-1], begins[-1]))
     for start, left, f in zip(begins.tolist(), lengths.tolist(), force.tolist(), strict=True):
         now, ends = start, start + left
         while now < ends:
-            v, towards, lag, lasts = _until_stop(v, f, T, axis)
+            v, towards, lag, lasts = _until_stop(v, f, c, T, viscous)
             pieces.append((now, v, x, towards, lag))
             lasts = min(lasts, ends - now)
             fading = math.exp(-lasts / lag)
@@ -138,12 +139,13 @@ def _course(
     )
 
 
-def _until_stop(v: float, f: float, T: float, axis: _Axis) -> tuple[float, float, float, float]:
+def _until_stop(
+    v: float, f: float, c: float, T: float, viscous: Mapping[float, float]
+) -> tuple[float, float, float, float]:
     """Return under a force the velocity, the one that it tends to and in which time, and after which time it stops."""
-    if abs(v) < NEGLIGIBLE and abs(f) <= axis.coulomb:
+    if abs(v) < NEGLIGIBLE and abs(f) <= c:
         return 0.0, 0.0, T, math.inf
     way = math.copysign(1.0, v if abs(v) >= NEGLIGIBLE else f)
-    viscous = axis.viscous(way)
-    towards, lag = (f - axis.coulomb * way) / viscous, T / viscous
+    towards, lag = (f - c * way) / viscous[way], T / viscous[way]
     stops = v * way > 0.0 and towards * way < 0.0
     return v, towards, lag, lag * math.log((towards - v) / towards) if stops else math.inf
