@@ -187,4 +187,9 @@ def _scores(
     residual = target - np.einsum("dl,dln->dn", solved, phi)
     used = np.count_nonzero(np.broadcast_to(weight, residual.shape), axis=1)
     scores = score(np.einsum("dn,dn->d", residual, residual), used, data)
-    return scores if prior.known is not None else np.where(solved[:, 0] * prior.sign >= 0.0, scores, np.inf)
+    if prior.known is not None:
+        return scores
+    allowed = solved[:, 0] * prior.sign >= 0.0
+    # A zero on the other side is another process, with more dead time, and leads the search away from this one.
+    backward = structure.gains == 1 or solved[:, 0] * solved[:, 1] <= 0.0
+    return np.where(allowed & backward, scores, np.inf)

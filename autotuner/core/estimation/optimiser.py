@@ -106,7 +106,20 @@ def solve(
         placed = [best_of(coarse, prior).start]
     found = refine(data, structure, background, placed[0], prior)
     # With a state, the samples that count begin one dead time after the first: once more with the one just found.
-    return refine(data, structure, background, found.start, prior) if "state" in background else found
+    found = refine(data, structure, background, found.start, prior) if "state" in background else found
+    return _beside(found, data, prior) if structure.gains > 1 else found
+
+
+def _beside(found: Solution, data: Data, prior: GainPrior) -> Solution:
+    """Return the best of a solution and of those with a sample interval more and less of dead time.
+
+    A response that begins with a jump of its slope, downward, has a minimum in each interval between two samples.
+    """
+    starts = [
+        replace(found.start, delay_s=max(found.start.delay_s + by, 0.0)) for by in (-data.interval_s, data.interval_s)
+    ]
+    kinds = found.problem.structure, found.problem.background
+    return best_of([found, *(refine(data, *kinds, start, prior, COARSE_STEPS) for start in starts)], prior)
 
 
 def best_of(solutions: Sequence[Solution], prior: GainPrior) -> Solution:
