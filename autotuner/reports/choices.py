@@ -6,7 +6,7 @@ write: same process, same range, same sample time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -43,7 +43,7 @@ class Offer:
 
     def predicted(self, basis: Basis, installed: Installed) -> Offer:
         """Return the choice with the predicted response of the loop, without the results of rules."""
-        return Offer(self.spec, with_prediction(replace(self.gains, alternatives=()), basis, installed))
+        return Offer(self.spec, with_prediction(self.gains, basis, installed))
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON-ready values; `requested` is the body of a request for these gains."""
@@ -73,7 +73,7 @@ def offers_of(basis: Basis, spec: DesignSpec) -> list[Offer]:
 def _gains(basis: Basis, spec: DesignSpec) -> PidDesign | None:
     """Return the gains; None for a process that has none of this kind."""
     try:
-        return design_from_spec(basis, spec)
+        return design_from_spec(basis, spec, compared=False)
     except InputError:
         return None
 

@@ -139,7 +139,9 @@ def _design_for(identification: Identification, spec: DesignSpec, sample_time_s:
     def chosen_for(spec: DesignSpec) -> Choose:
         def choose(model: ProcessModel, covariance: FloatArray | None) -> PidGains:
             covariance, known_as = known_within(model, covariance, None)
-            return design_from_spec(replace(basis, model=model, covariance=covariance, known_as=known_as), spec).gains
+            return design_from_spec(
+                replace(basis, model=model, covariance=covariance, known_as=known_as), spec, compared=False
+            ).gains
 
         return choose
 

@@ -29,15 +29,15 @@ POOR = 1.3
 NO_NOISE = "no noise was measured, so the requested limit of output jitter has no effect"
 
 
-def design_from_spec(basis: Basis, spec: DesignSpec) -> PidDesign:
-    """Return gains for a process by a specification.
+def design_from_spec(basis: Basis, spec: DesignSpec, *, compared: bool = True) -> PidDesign:
+    """Return gains for a process by a specification; `compared` with all rules, as the alternatives.
 
     Raises
     ------
     InputError
         As of `tune`.
     """
-    found = _with_quiet_output(basis, spec, _tuned(basis, spec))
+    found = _with_quiet_output(basis, spec, _tuned(basis, spec, compared=compared))
     unlimited = (NO_NOISE,) if spec.jitter is not None and basis.noise is None else ()
     warnings = (*found.warnings, *unlimited, *_cost_of_controller(basis, spec))
     return replace(found, goal=None if spec.rule else spec.name, warnings=warnings)
@@ -61,7 +61,7 @@ def _with_quiet_output(basis: Basis, spec: DesignSpec, found: PidDesign) -> PidD
     if spec.jitter is not None or found.jitter is None or found.jitter <= limit:
         return found
     try:
-        quiet = _tuned(basis, replace(spec, jitter=limit)) if spec.rule is None else found
+        quiet = _tuned(basis, replace(spec, jitter=limit), compared=False) if spec.rule is None else found
     except InputError:
         quiet = found
     if quiet.jitter is None or quiet.jitter >= found.jitter:
@@ -91,7 +91,7 @@ def _works_for_nothing(jitter: float, limit: float) -> str:
     )
 
 
-def _tuned(basis: Basis, spec: DesignSpec) -> PidDesign:
+def _tuned(basis: Basis, spec: DesignSpec, *, compared: bool) -> PidDesign:
     return tune(
         basis.model,
         spec.requirements(basis.noise, basis.device),
@@ -102,6 +102,7 @@ def _tuned(basis: Basis, spec: DesignSpec) -> PidDesign:
         sample_time_s=basis.sample_time_s,
         noise=basis.noise,
         device=basis.device,
+        compared=compared,
     )
 
 

@@ -59,6 +59,7 @@ def tune(
     sample_time_s: float = 0.0,
     noise: Noise | None = None,
     device: DeviceController | None = None,
+    compared: bool = True,
 ) -> PidDesign:
     """Return gains for a process, with their robustness and the alternatives.
 
@@ -82,6 +83,8 @@ def tune(
         Sample time of the controller, s; measured noise, for the output movement that it causes.
     device : DeviceController, optional
         The controller that will hold the gains: rules are judged as it runs them, for a goal it is designed with.
+    compared : bool
+        Whether the alternatives are wanted, by all rules: they take as long as the design.
 
     Raises
     ------
@@ -90,7 +93,8 @@ def tune(
     """
     judged, notes = judged_process(model, sample_time_s)
     bench = _Bench(judged, known_as, noise, device)
-    alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in applicable(judged, ultimate))
+    rules = applicable(judged, ultimate) if compared else ()
+    alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in rules)
     if rule is None:
         chosen, intervals = bench.designed(requirements_for(goal), covariance, tau_c_s)
     else:

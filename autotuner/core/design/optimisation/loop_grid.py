@@ -23,7 +23,8 @@ search that evaluates hundreds of controllers pays for the cosines once.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,9 +82,13 @@ class LoopGrid:
     matrix: FloatArray
     weights: FloatArray
 
+    def controller(self, gains: PidGains) -> ComplexArray:
+        """Return `C(jw) F(jw)` at the frequencies, shape (N,)."""
+        return gains.Kp * _of_unit_gain(self, replace(gains, Kp=1.0))
+
     def load_error(self, gains: PidGains) -> FloatArray:
         """Return the PV at `t` after a unit step of load at the process input, shape (M,)."""
-        loop = controller_response(gains, self.w) * self.process
+        loop = self.controller(gains) * self.process
         spectrum = self.undelayed / (1j * self.w * (1.0 + loop))
         error: FloatArray = self.matrix @ spectrum.real
         return error
@@ -91,7 +96,7 @@ class LoopGrid:
     def set_point_error(self, gains: PidGains) -> tuple[FloatArray, FloatArray]:
         """Return `e0`, `p` (shape (M,) each): the error after a unit set-point step with weight `b` is `e0 - b p`."""
         s = 1j * self.w
-        closed = self.undelayed / (1.0 + controller_response(gains, self.w) * self.process)
+        closed = self.undelayed / (1.0 + self.controller(gains) * self.process)
         spectra = np.stack(((1.0 - closed * gains.Ki / s) / s, closed * gains.Kp / s))
         e0, p = (self.matrix @ spectra.real.T).T
         return e0, p
@@ -111,6 +116,12 @@ class LoopGrid:
     def integral_of(self, error: FloatArray) -> float:
         """Return the integral of `|error|` over `t`."""
         return float(self.weights @ np.abs(error))
+
+
+@lru_cache(maxsize=2)
+def _of_unit_gain(grid: LoopGrid, shape: PidGains) -> ComplexArray:
+    """Return the response of a controller; cached, because a search needs it for its gain, then for its errors."""
+    return controller_response(shape, grid.w)
 
 
 def loop_grid(model: ProcessModel) -> LoopGrid:

@@ -66,7 +66,7 @@ class Search:
 
     def gains_at(self, shape: PidGains) -> PidGains | None:
         """Return `shape` (made for `Kp = 1`) with the largest gain inside all limits, or None."""
-        unit = self.sign * controller_response(shape, self.grid.w)
+        unit = self.sign * self.grid.controller(shape)
 
         def stable(k: float) -> bool:
             ends = path_ends(self.grid.model, replace(shape, Kp=self.sign * k))
@@ -79,7 +79,7 @@ class Search:
 
     def stabilises_all(self, gains: PidGains) -> bool:
         """Return whether the loop is stable for every process; a search only checks the first one."""
-        controller = controller_response(gains, self.grid.w)
+        controller = self.grid.controller(gains)
         return all(
             encircles_nothing(path_ends(model, gains), controller * response)
             for model, response in zip(self.models, self.responses, strict=True)
@@ -164,7 +164,7 @@ def jitter_of(grid: LoopGrid, gains: PidGains, noise: Noise) -> float:
     noise : Noise
         What was measured of it.
     """
-    controller = controller_response(gains, grid.w)
+    controller = grid.controller(gains)
     noise_response = controller / (1.0 + controller * grid.process)
     return noise.sigma * math.sqrt(float(noise_weights(grid.w, noise.sample_time_s) @ np.abs(noise_response) ** 2))
 
@@ -318,7 +318,7 @@ def _checked(search: Search, shape: PidGains) -> PidGains | None:
     w = frequency_grid(search.grid.model, rough, CHECK_STEP_RAD)
     gains = _on(search, w).gains_at(shape) or rough
     finer = _on(search, _with_peaks(search.grid.model, gains, w))
-    if not finer.keeps(controller_response(gains, finer.grid.w) * finer.responses):
+    if not finer.keeps(finer.grid.controller(gains) * finer.responses):
         gains = finer.gains_at(shape) or gains
     return gains if finer.stabilises_all(gains) else None
 

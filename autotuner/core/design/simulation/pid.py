@@ -100,13 +100,12 @@ class PidState:
 
 def started(settings: PidSettings, t: float, pv: float, set_point: float, output: float) -> PidState:
     """Return the state of a controller that takes over at rest, with the present output."""
-    state = PidState(t, pv, set_point, pv, 0.0, 0.0, output)
-    return replace(state, integral=output - _proportional(settings, state))
+    return PidState(t, pv, set_point, pv, 0.0, output - _proportional(settings, set_point, pv), output)
 
 
 def retuned(settings: PidSettings, state: PidState) -> PidState:
     """Return the state for new settings that leaves the output where it is."""
-    without = _proportional(settings, state) + _derivative(settings, state)
+    without = _proportional(settings, state.set_point, state.filtered) + _derivative(settings, state.damped)
     return replace(state, integral=state.output - without)
 
 
@@ -131,19 +130,18 @@ def step(settings: PidSettings, state: PidState, t: float, pv: float, set_point:
     filter_s = settings.gains.derivative_filter_s
     share = 1.0 - math.exp(-h / filter_s) if filter_s > 0.0 else 1.0
     damped = state.damped + share * (slope - state.damped)
-    now = PidState(t, pv, set_point, filtered, slope, integral, state.output, damped)
-    wanted = _proportional(settings, now) + integral + _derivative(settings, now)
+    wanted = _proportional(settings, set_point, filtered) + integral + _derivative(settings, damped)
     output = _limited(settings, state.output, wanted, h)
     tracking = 0.0 if settings.gains.Ki == 0.0 else min(1.0, h / settings.tracking_time) * (output - wanted)
-    return replace(now, integral=integral + tracking, output=output)
+    return PidState(t, pv, set_point, filtered, slope, integral + tracking, output, damped)
 
 
-def _proportional(settings: PidSettings, state: PidState) -> float:
-    return settings.gains.Kp * (settings.gains.b * state.set_point - state.filtered)
+def _proportional(settings: PidSettings, set_point: float, filtered: float) -> float:
+    return settings.gains.Kp * (settings.gains.b * set_point - filtered)
 
 
-def _derivative(settings: PidSettings, state: PidState) -> float:
-    return -settings.gains.Kd * state.damped
+def _derivative(settings: PidSettings, damped: float) -> float:
+    return -settings.gains.Kd * damped
 
 
 def _limited(settings: PidSettings, before: float, wanted: float, h: float) -> float:
