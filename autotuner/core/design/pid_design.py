@@ -84,7 +84,7 @@ def tune(
     device : DeviceController, optional
         The controller that will hold the gains: rules are judged as it runs them, for a goal it is designed with.
     compared : bool
-        Whether the alternatives are wanted, by all rules: they take as long as the design.
+        Whether the alternatives are made, by every rule.
 
     Raises
     ------
@@ -93,24 +93,17 @@ def tune(
     """
     judged, notes = judged_process(model, sample_time_s)
     bench = _Bench(judged, known_as, noise, device)
-    rules = applicable(judged, ultimate) if compared else ()
-    alternatives = tuple(bench.candidate(apply_rule(name, judged, ultimate)) for name in rules)
-    if rule is None:
-        chosen, intervals = bench.designed(requirements_for(goal), covariance, tau_c_s)
-    else:
-        chosen, intervals = bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s)), {}
-    return PidDesign(
-        goal=_named(goal) if rule is None else None,
-        rule=chosen.rule,
-        gains=chosen.gains,
-        margins=chosen.margins,
-        alternatives=alternatives,
-        warnings=(*notes, *bench.concerns_over_region(chosen, covariance), *chosen.warnings, *_concerns(chosen)),
-        iae=chosen.iae,
-        overshoot=chosen.overshoot,
-        intervals=intervals,
-        jitter=chosen.jitter,
-    )
+    alternatives = tuple(bench.candidate(result) for result in (_by_rules(judged, ultimate) if compared else ()))
+    ruled = None if rule is None else bench.candidate(apply_rule(rule, judged, ultimate, tau_c_s=tau_c_s))
+    chosen, intervals = (ruled, {}) if ruled else bench.designed(requirements_for(goal), covariance, tau_c_s)
+    warnings = (*notes, *bench.concerns_over_region(chosen, covariance), *chosen.warnings, *_concerns(chosen))
+    named = _named(goal) if rule is None else None
+    found = PidDesign(named, chosen.rule, chosen.gains, chosen.margins, alternatives, warnings)
+    return replace(found, iae=chosen.iae, overshoot=chosen.overshoot, intervals=intervals, jitter=chosen.jitter)
+
+
+def _by_rules(judged: ProcessModel | None, ultimate: UltimatePoint | None) -> list[RuleResult]:
+    return [apply_rule(name, judged, ultimate) for name in applicable(judged, ultimate)]
 
 
 def _named(goal: str | Requirements) -> str:
