@@ -10,7 +10,10 @@ from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
 from autotuner.core.diagnosis.effects.process.friction import _Axis, _course
+from autotuner.core.diagnosis.extended.base import base_of
+from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input
 
@@ -152,6 +155,38 @@ def test_a_curve_without_a_formula_passes_its_knots():
     assert curve.sizes((), bends[1:-1].tolist(), 0.36) == pytest.approx(
         {"slope_at_rest": 1.0 / 0.36, "curvature": 0.0, "third": -0.01 / 0.36}, abs=1e-9
     )
+
+
+def both_directions():
+    """Return a motor's answer to a staircase up, down to the other direction, and back; atan of it, behind a lag."""
+    levels = np.concatenate((np.linspace(0.0, 1.0, 11), np.linspace(0.9, -1.0, 20), np.linspace(-0.9, 0.0, 10)))
+    output = np.repeat(levels, 10)
+    states = integrated(lambda x, u, _t: (10.0 * math.atan(4.0 * u) - x) / 2.5, output, [0.0])
+    noise = np.random.default_rng(1).normal(0.0, 0.05, output.size)
+    return Recording(np.arange(float(output.size)), output, states[:, 0] + noise)
+
+
+def test_an_odd_curve_shows_one_direction_by_the_other():
+    """The fitted part ends at -0.6 of the output, the other at -1: a curve without symmetry does not know it."""
+    context = bench_of(dataset_of(both_directions()))
+    base = base_of(context, ("offset",), 1)
+    curves = [extend(context, base.origins, [effect])[0] for effect in static_curves(context.dataset)]
+    plain, odd = sorted(curves, key=context.held_out_error, reverse=True)
+    assert odd.problem.effects[0].form == "free, odd, 11 knots"
+    assert context.held_out_error(odd) < 1.3 * 0.05 < 0.2 * context.held_out_error(plain)
+
+
+def test_an_output_of_one_sign_has_no_odd_curve():
+    output = np.repeat(np.random.default_rng(5).uniform(0.0, 8.0, N // 14), 14)
+    forms = [effect.form for effect in static_curves(dataset_of(Recording(np.arange(float(N)), output, output)))]
+    assert forms == ["free, 7 knots"]
+
+
+@pytest.mark.long  # the two tests above show the curve
+def test_an_odd_curve_is_a_static_nonlinearity():
+    found = diagnose(both_directions())
+    assert [effect.name for effect in found.effects] == ["static_nonlinearity"]
+    assert found.error["held_out"].after < 1.5 * 0.05 < 0.2 * found.error["held_out"].before
 
 
 @pytest.mark.long  # the next test shows the names of the shapes

@@ -7,7 +7,11 @@ import pytest
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.friction import backlash, stiction
+from autotuner.core.diagnosis.effects.disturbance import _drifts
+from autotuner.core.diagnosis.extended.base import base_of
+from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.search.friction_search import with_friction_in_drift
 from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of, positions
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.model.zoh_input import HeldInput
@@ -74,3 +78,37 @@ def test_a_loop_that_cycles_by_its_valve_is_explained_by_the_bands(static, kinet
     assert answer.effects[0].parameters["band"] == pytest.approx(static, rel=0.03)
     assert answer.effects[0].parameters["jump"] == pytest.approx(static - kinetic, rel=0.05)
     assert answer.verdict == "explained"
+
+
+def one_slip():
+    """Return the record of a slow PI loop of K = 1.5, T = 3, whose valve waits for 1.2 while its load drifts."""
+    noise = 0.01 * np.random.default_rng(3).standard_normal(340)
+    x = integral = position = 0.0
+    u, y = [], []
+    for k, off in enumerate(noise.tolist()):
+        y.append(x + off)
+        integral -= 0.04 * y[-1]
+        u.append(integral - 0.1 * y[-1])
+        if abs(u[-1] - position) > 1.2:
+            position = u[-1] - math.copysign(0.8, u[-1] - position)
+        for _ in range(FINE):
+            x += (1.5 * position - 0.0012 * k - x) / 3.0 / FINE
+    return Recording(np.arange(340.0), 30.0 + np.array(u), 50.0 + np.array(y))
+
+
+def test_a_valve_that_slips_once_is_found_beside_the_drift_that_the_controller_fights():
+    context = bench_of(dataset_of(one_slip()))
+    base = base_of(context, ("offset", "state"), 0)
+    plain = _drifts(context.dataset)[:1]
+    found = min(with_friction_in_drift(context, base, plain), key=context.on_both_parts)
+    assert found.names == ("stiction", "drift")
+    assert context.held_out_error(found) < 1.2 * 0.01 < 0.1 * context.held_out_error(base.best)
+    band, drift = found.sizes()
+    assert band["band"] == pytest.approx(1.2, rel=0.03)
+    assert drift["pv_per_s"] == pytest.approx(-0.0012, rel=0.02)
+
+
+def test_a_loop_that_cycles_needs_no_drift():
+    context = bench_of(dataset_of(sticking_loop(1.6, 0.6)))
+    base = base_of(context, ("offset", "state"), 0)
+    assert not with_friction_in_drift(context, base, _drifts(context.dataset))

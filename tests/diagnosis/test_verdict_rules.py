@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from autotuner.core.diagnosis.findings.advice import REMEDIES, remedy, separatin
 from autotuner.core.diagnosis.findings.doubts import doubts_about, doubts_about_errors, doubts_about_process
 from autotuner.core.diagnosis.findings.judgement import verdict_of
 from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit
+from autotuner.core.diagnosis.procedure import _is_as_good_later
 from autotuner.core.diagnosis.search.judge import Evidence, is_helpful, is_shown, is_supported
 from autotuner.core.model.process import Fopdt, SopdtOverdamped, SopdtUnderdamped
 
@@ -293,3 +295,13 @@ def test_two_names_are_separated_by_the_experiment_of_the_pair_in_either_order()
     assert "slow ramp" in one
     assert "staircase" in separating("backlash", ["ambient"])[0]
     assert separating("backlash", []) == []
+
+
+@pytest.mark.parametrize(
+    ("later", "fitted", "noise", "expected"),
+    [(1.9, 1.0, 0.1, True), (2.1, 1.0, 0.1, False), (1.9, 0.1, 1.0, True), (2.1, 0.1, 1.0, False)],
+)
+def test_an_explanation_is_as_good_later_as_it_is_on_the_fitted_part(later, fitted, noise, expected):
+    context = SimpleNamespace(held_out_error=lambda _chosen: later)
+    found = SimpleNamespace(noise=noise, chosen=SimpleNamespace(rms=fitted))
+    assert _is_as_good_later(context, found) is expected

@@ -123,7 +123,7 @@ def diagnose(
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
         again = more.traced(*more.based())
-        if again[2].chosen.problem.effects and not _is_off(again[0], again[2]) and _same_sign(base, again[1]):
+        if again[2].chosen.problem.effects and _is_as_good_later(again[0], again[2]) and _same_sign(base, again[1]):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
@@ -290,6 +290,11 @@ def _same_sign(one: Base, other: Base) -> bool:
 def _is_off(context: FitContext, found: Trace) -> bool:
     """Return whether the explanation fails on the held-out part."""
     return context.held_out_error(found.chosen) > LATE * found.noise
+
+
+def _is_as_good_later(context: FitContext, found: Trace) -> bool:
+    """Return whether the explanation is as good on the held-out part as on the other, or leaves noise there."""
+    return context.held_out_error(found.chosen) <= LATE * max(found.noise, found.chosen.rms)
 
 
 def _share_that_decides(context: FitContext, found: Trace) -> float:

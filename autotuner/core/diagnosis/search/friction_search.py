@@ -43,7 +43,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
 )
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import best_on_both_parts, refined, within
+from autotuner.core.diagnosis.search.search import best_on_both_parts, extend, refined, within
 from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 
@@ -76,6 +76,10 @@ NEARER = 0.9
 """Error over that of the process alone up to which bands are followed."""
 WAVE_STEPS = 5
 """Most steps of the optimiser from each period of a wave."""
+FEW_WAITS = 2
+"""Waits of the PV up to which a drift is tried beside bands: a loop that cycles shows its bands without one."""
+SLOW_LOADS = {"drift", "ambient"}
+"""Names of loads that a controller fights while the valve waits."""
 SECOND_LAG = 0.3
 """Second lag to start from, over the first."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
@@ -90,8 +94,23 @@ def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) ->
         return []
     turning = [e for e in effects if e.group == "friction" and e.form == TURNING]
     found = [_turning(context, base, effect) for effect in within(context.dataset.budget, turning)]
-    found += _with_bands(context, base)
+    found += _with_bands(context, base, base.best.problem.background)
     return [f for f in found if is_physical(f) and _is_shown(context, base.best, f)]
+
+
+def with_friction_in_drift(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the same beside a drift, where the PV waits once or twice: meanwhile it shows the load alone.
+
+    A drifting load is also why the integral action moves the output on. Without it, a slow process follows the drift
+    instead, and no band predicts the slip.
+    """
+    seen = waiting_of(context.dataset)
+    if not seen.sticks or len(seen.travels) > FEW_WAITS or context.dataset.budget.spent:
+        return []
+    background = base.best.problem.background
+    found = _with_bands(context, base, (*background, "drift"), narrow=False)
+    alone = [fit(replace(f.problem, background=background), f.theta, 0) for f in found]
+    return extend(context, alone, [e for e in effects if e.name in SLOW_LOADS and not e.measured]) if alone else []
 
 
 def _is_shown(context: FitContext, alone: Fitted, candidate: Fitted) -> bool:
@@ -119,9 +138,9 @@ def _processes(problem: Extended) -> list[FloatArray]:
     return [np.array([math.log(T * interval), D * interval / problem.unit_s]) for T, D in product(LAGS, DELAYS)]
 
 
-def _with_bands(context: FitContext, base: Base) -> list[Fitted]:
+def _with_bands(context: FitContext, base: Base, background: tuple[str, ...], *, narrow: bool = True) -> list[Fitted]:
     """Return processes with a valve that sticks or has play: the closest with wide bands, and with narrow ones."""
-    dataset, background = context.dataset, base.best.problem.background
+    dataset = context.dataset
     bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, background)
     alone = [o for o in (base.best, base.origins[0]) if o.problem.structure in (FOPDT, SECOND_ORDER)]
     processes = [(FOPDT, theta) for theta in _processes(base.best.problem)]
@@ -129,7 +148,7 @@ def _with_bands(context: FitContext, base: Base) -> list[Fitted]:
     squares = np.stack([bands.squares(*process) for process in processes])
     found = []
     wide, plays = bands.bands > SMALLEST_IN_LOOP, bands.left == 1.0
-    for lane in (wide & ~plays, ~wide, plays):
+    for lane in (wide & ~plays, *((~wide,) if narrow else ()), plays):
         starts = [
             _started(context, *processes[n], bands, m, background)
             for n, m in _apart(bands, np.where(lane & (bands.bands >= SMALLEST), squares, np.inf))

@@ -23,7 +23,13 @@ from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
-from autotuner.core.diagnosis.search.friction_search import that_stick, with_friction, with_process_friction, with_wave
+from autotuner.core.diagnosis.search.friction_search import (
+    that_stick,
+    with_friction,
+    with_friction_in_drift,
+    with_process_friction,
+    with_wave,
+)
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
@@ -170,6 +176,7 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
     friction = with_friction(context, base, effects)
     if any(is_noise(context, candidate) for candidate in friction):
         return friction, True
+    friction += with_friction_in_drift(context, base, effects)
     others = [*with_process_friction(context, base.best), *with_less_dead_time(context, base, effects)]
     return [*friction, *others, *with_positions(context, base)], False
 
@@ -350,9 +357,10 @@ def _following(context: FitContext, base: Base, best: Fitted, found: Sequence[Fi
     else:
         tried = [c for k, c in enumerate(ordered) if k < TRIED_ELSEWHERE or SLIPS & set(c.names)]
         accepted = [c for c in tried if is_accepted(context, base, best, c)]
-        by_chance = that_stick(context, accepted) or [c for c in accepted if not _has_an_answer(c)]
+        sticking = that_stick(context, [best, *accepted]) if accepted else []
+        by_chance = sticking or [c for c in accepted if not _has_an_answer(c)]
         chosen = next(iter(best_on_both_parts(context, by_chance or accepted)), None)
-    return (ordered[0], False) if chosen is None else (chosen, True)
+    return (ordered[0], False) if chosen is None or chosen is best else (chosen, True)
 
 
 def _has_an_answer(candidate: Fitted) -> bool:

@@ -4,8 +4,9 @@
 
 The end knots have none: constant and slope are those of offset and gain. Where the output has few levels, these are
 the knots, and the curve is a position for each level. Steps of unequal size are then identical, and no record
-distinguishes the two: each is a form here. The reported sizes are those of the cubic through rest that is closest.
-(Natural splines: de Boor, A Practical Guide to Splines, 2001.)
+distinguishes the two: each is a form here. An output of both signs (a motor, a Peltier element) may act alike in both
+directions: an odd curve, x(-u) = -x(u), so that one direction shows the other. The reported sizes are those of the
+cubic through rest that is closest. (Natural splines: de Boor, A Practical Guide to Splines, 2001.)
 """
 
 from __future__ import annotations
@@ -26,12 +27,16 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
-FEW, KNOTS = 7, 7
-"""Levels up to which each is a knot, and knots where there are more."""
+FEW, KNOTS, HALF = 7, 7, 5
+"""Levels up to which each is a knot, knots where there are more, and knots of half an odd curve."""
 VISITS = 2
 """Moves for each knot that confirm its position."""
 BACK = 0.03
 """Largest return of a position while the output continues, as a share of the range: measurement error."""
+TURNS_OF_ODD = 3
+"""Most turns of an odd curve: one at zero, and one in each half."""
+STRAIGHT = 0.02
+"""Share of the largest bend up to which a curve is straight: an odd one is so at zero, but for rounding."""
 LATER = 0.1
 """Penalty that selects the smooth curve where steps of unequal size fit equally: the curve is simpler."""
 
@@ -42,16 +47,30 @@ def static_curves(dataset: Dataset) -> list[Effect]:
     early = held.times < dataset.fitted_until_s
     _, at = np.unique(np.round(held.levels[early] / (SAME * dataset.swing)), return_index=True)
     which = held.levels[early][at]
+    odd = _odd_curve(which, -dataset.output0, int(np.count_nonzero(early)) // VISITS)
     few, most = which.size <= FEW, int(np.count_nonzero(early)) // VISITS
     knots = which if few else np.linspace(which[0], which[-1], min(KNOTS, most))
     if not 3 <= knots.size <= most:
+        return odd
+    basis = np.eye(knots.size)[:, 1:-1]
+    return [_curve(knots, basis, "free"), *([_steps(knots, basis)] if few else []), *odd]
+
+
+def _odd_curve(levels: FloatArray, zero: float, most: int) -> list[Effect]:
+    """Return the curve that is odd about an output of zero; nothing where the output has one sign, or moves rarely."""
+    sizes = np.unique(np.abs(np.round(levels - zero, 9)))
+    sizes = sizes[sizes > 0.0]
+    half = sizes if sizes.size <= HALF else sizes[-1] * np.arange(1.0, HALF + 1.0) / HALF
+    if not levels[0] < zero < levels[-1] or not 2 <= half.size <= most:
         return []
-    return [_curve(knots), *([_steps(knots)] if few else [])]
+    knots = zero + np.concatenate((-half[::-1], [0.0], half))
+    inner = np.eye(knots.size)[:, half.size + 1 : -1]
+    return [_curve(knots, inner - inner[::-1], "free, odd", TURNS_OF_ODD)]
 
 
-def _curve(knots: FloatArray) -> Effect:
+def _curve(knots: FloatArray, basis: FloatArray, form: str, turns: int = 1) -> Effect:
     def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
-        x = _positions(knots, c, g)
+        x = _positions(knots, basis, c, g)
         powers = np.column_stack([knots**n for n in (1, 2, 3)])
         slope, square, third = np.linalg.lstsq(powers, x - np.interp(0.0, knots, x), rcond=None)[0].tolist()
         return {"curvature": square, "third": third, "slope_at_rest": slope}
@@ -62,15 +81,17 @@ def _curve(knots: FloatArray) -> Effect:
         (),
         [()],
         sizes,
-        form=f"free, {knots.size} knots",
-        columns=_columns(knots),
+        form=f"{form}, {knots.size} knots",
+        columns=_columns(knots, basis),
         order=4,
         group="curve",
-        means=lambda _p, c, g, _shape: _goes_one_way(knots, c, g) and _turns(knots, c, g) <= 1,
+        means=lambda _p, c, g, _shape: (
+            _goes_one_way(knots, x := _positions(knots, basis, c, g)) and _turns(knots, x) <= turns
+        ),
     )
 
 
-def _steps(knots: FloatArray) -> Effect:
+def _steps(knots: FloatArray, basis: FloatArray) -> Effect:
     """Return steps: the output is off by half a step at most."""
     return Effect(
         "output_quantisation",
@@ -79,36 +100,37 @@ def _steps(knots: FloatArray) -> Effect:
         [()],
         lambda _p, c, g: {"step": 2.0 * max(abs(x) for x in c) / abs(g)},
         form="unequal",
-        columns=_columns(knots),
+        columns=_columns(knots, basis),
         order=4,
         price=LATER,
         group="curve",
-        means=lambda _p, c, g, _shape: _goes_one_way(knots, c, g),
+        means=lambda _p, c, g, _shape: _goes_one_way(knots, _positions(knots, basis, c, g)),
     )
 
 
 class _columns:  # noqa: N801 - a function with the splines in it
     """The response to each of the splines."""
 
-    def __init__(self, knots: FloatArray) -> None:
+    def __init__(self, knots: FloatArray, basis: FloatArray) -> None:
         self.knots = knots
-        self.splines = scipy.interpolate.CubicSpline(knots, np.eye(knots.size)[:, 1:-1], bc_type="natural")
+        self.splines = scipy.interpolate.CubicSpline(knots, basis, bc_type="natural")
 
     def __call__(self, view: View, _p: Sequence[float]) -> list[FloatArray]:
         inside = np.clip(view.position.levels, *self.knots[[0, -1]])
         return [view.forced(HeldInput(view.position.times, x - x[0])) for x in self.splines(inside).T]
 
 
-def _positions(knots: FloatArray, c: Sequence[float], gain: float) -> FloatArray:
-    return knots + np.concatenate(([0.0], np.array(c) / gain, [0.0]))
+def _positions(knots: FloatArray, basis: FloatArray, c: Sequence[float], gain: float) -> FloatArray:
+    positions: FloatArray = knots + basis @ np.array(c) / gain
+    return positions
 
 
-def _goes_one_way(knots: FloatArray, c: Sequence[float], gain: float) -> bool:
-    x = _positions(knots, c, gain)
+def _goes_one_way(knots: FloatArray, x: FloatArray) -> bool:
     return bool(np.all(np.diff(x) > -BACK * (knots[-1] - knots[0])))
 
 
-def _turns(knots: FloatArray, c: Sequence[float], gain: float) -> int:
+def _turns(knots: FloatArray, x: FloatArray) -> int:
     """Return how often a curve goes over from bending one way to bending the other."""
-    bends = np.diff(np.diff(_positions(knots, c, gain)) / np.diff(knots))
-    return int(np.count_nonzero(np.diff(np.sign(bends))))
+    bends = np.diff(np.diff(x) / np.diff(knots))
+    clear = bends[np.abs(bends) > STRAIGHT * np.abs(bends).max()]
+    return int(np.count_nonzero(np.diff(np.sign(clear))))
