@@ -23,7 +23,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from autotuner.core.estimation.backgrounds import PRICE
 from autotuner.core.estimation.data import ANY_GAIN
@@ -33,6 +32,7 @@ from autotuner.core.estimation.least_squares import candidate_of, preferred_back
 from autotuner.core.estimation.linear_least_squares import residual_after
 from autotuner.core.estimation.noise.ar_noise import SAMPLES_EACH, Coloured, even_runs, memory_of
 from autotuner.core.estimation.optimiser import Solution, best_delay, refine
+from autotuner.core.quantiles import chi2_tail, f_tail
 from autotuner.core.signals.noise import autocorrelation, inflation, rms
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def _is_explained(solution: Solution) -> bool:
         return False
     residual = problem.residual(theta)
     r = autocorrelation(residual[data.weight > 0.0])
-    if scipy.stats.chi2.sf(np.count_nonzero(data.weight) * float(r @ r), r.size) < SURE:
+    if chi2_tail(np.count_nonzero(data.weight) * float(r @ r), r.size) < SURE:
         return False
     shape, delay = problem.split(theta)
     motions = [problem.structure.motion([part * value for value in shape], data.span_s) for part in PARTS]
@@ -184,4 +184,4 @@ def _is_explained(solution: Solution) -> bool:
     kept = residual_after(np.hstack((tangent, others)), residual)
     more, freedom = others.shape[1], np.count_nonzero(data.weight) - tangent.shape[1] - others.shape[1]
     ratio = (float(residual @ residual) / float(kept @ kept) - 1.0) * freedom / more
-    return bool(scipy.stats.f.sf(ratio, more, freedom) > SURE)
+    return f_tail(ratio, more, freedom) > SURE

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from autotuner.core.estimation.linear_least_squares import residual_after
 from autotuner.core.estimation.noise.ar_noise import Coloured, even_runs, memory_of
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
+from autotuner.core.quantiles import chi2_tail, f_tail
 from autotuner.core.signals.noise import autocorrelation, rms
 
 if TYPE_CHECKING:
@@ -90,12 +90,22 @@ def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float, innovati
     lasts_s = -interval_s / math.log(longest)
     if lasts_s < FADES * (own_s or candidate.problem.dataset.span_s):
         return True
-    return lasts_s < FADES_WITH_PROCESS * own_s and bool(scipy.stats.jarque_bera(innovations).pvalue > SURE)
+    return lasts_s < FADES_WITH_PROCESS * own_s and normality(innovations) > SURE
+
+
+def normality(values: FloatArray) -> float:
+    """Return the probability that normal values are as skewed and as heavy-tailed (Jarque and Bera, Econ. Lett. 6)."""
+    off = values - values.mean()
+    variance = float(np.mean(off**2))
+    if variance == 0.0:
+        return 0.0
+    skew, excess = float(np.mean(off**3)) / variance**1.5, float(np.mean(off**4)) / variance**2 - 3.0
+    return chi2_tail(values.size / 6.0 * (skew**2 + excess**2 / 4.0), 2)
 
 
 def _is_white(values: FloatArray) -> bool:
     r = autocorrelation(values, 2 * PAST)
-    return bool(scipy.stats.chi2.sf(values.size * float(r @ r), r.size) > SURE)
+    return chi2_tail(values.size * float(r @ r), r.size) > SURE
 
 
 def _follows_output(context: FitContext, rows: IntArray, white: FloatArray) -> bool:
@@ -107,4 +117,4 @@ def _follows_output(context: FitContext, rows: IntArray, white: FloatArray) -> b
     kept = residual_after(columns, past)
     freedom = past.size - columns.shape[1]
     ratio = (float(past @ past) / max(float(kept @ kept), SMALLEST_DIVISOR) - 1.0) * freedom / PAST
-    return bool(scipy.stats.f.sf(ratio, PAST, freedom) < SURE)
+    return f_tail(ratio, PAST, freedom) < SURE

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,7 +72,8 @@ class FitContext:
 
     def held_out_residual(self, candidate: Fitted) -> FloatArray:
         """Return measured minus simulated on the part that was not fitted, PV."""
-        return _held_out_residual(self, candidate)
+        residual: FloatArray = self.dataset.data.pv[self.held_out] - candidate.simulated(self.held_out)
+        return residual
 
     def held_out_error(self, candidate: Fitted) -> float:
         """Return the root mean square of that, PV."""
@@ -97,14 +97,6 @@ class FitContext:
     def by_criterion(self, candidates: Iterable[Fitted], inflated: float) -> list[Fitted]:
         """Return candidates by the criterion, the best first, the plainer one where that is the same."""
         return without_rounding(candidates, lambda c: self.criterion(c, inflated), plainness)
-
-
-@lru_cache(maxsize=64)
-def _held_out_residual(context: FitContext, candidate: Fitted) -> FloatArray:
-    """Return that of the class; cached, because a candidate is compared with many others."""
-    residual: FloatArray = context.dataset.data.pv[context.held_out] - candidate.simulated(context.held_out)
-    residual.setflags(write=False)
-    return residual
 
 
 def bench_of(dataset: Dataset) -> FitContext:

@@ -30,13 +30,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from autotuner.core.estimation.intervals.profile_likelihood import profiles
 from autotuner.core.estimation.optimiser import Solution
 from autotuner.core.model.arrays import FloatArray
 from autotuner.core.model.process import InverseResponse, SopdtOverdamped, ThirdOrder, ThirdOrderUnderdamped
 from autotuner.core.model.structures import EQUAL_LAGS
+from autotuner.core.quantiles import student_quantile
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def uncertainty(
     covariance = slopes @ of_fit @ slopes.T
     values = model.parameters()
     errors = dict(zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True))
-    quantile = float(scipy.stats.t.ppf(0.975, _independent_freedom(solution, inflation)))
+    quantile = student_quantile(_independent_freedom(solution, inflation))
     intervals = {name: interval(name, value, errors[name], quantile) for name, value in values.items()}
     scale = (_variance(solution) * inflation, quantile)
     changed = profiles(solution, values, intervals, whole, scale) if profile else {}

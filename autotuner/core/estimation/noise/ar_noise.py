@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +88,7 @@ class Coloured:
         result: FloatArray = np.array(values)
         last = np.concatenate(([1.0], -self.memory.predictors[-1]))
         for run in self.runs:
-            result[run] = scipy.signal.lfilter(last, [1.0], values[run], axis=0)
+            result[run] = np.apply_along_axis(np.convolve, 0, values[run], last)[: run.stop - run.start]
             for j, predictor in enumerate(self.memory.predictors[: run.stop - run.start]):
                 k = run.start + j
                 predicted = predictor @ values[run.start : k][::-1]
