@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from autotuner.core.model.arrays import FloatArray  # noqa: TC001 - part of the public signature
 
@@ -29,7 +29,7 @@ def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, F
         q, r = _orthogonal(columns[:, independent] / size[independent])
     coefficients = np.zeros(size.size)
     if independent.size:
-        coefficients[independent] = lapack.dtrtrs(r.T, q.T @ target, lower=1, trans=1)[0] / size[independent]
+        coefficients[independent] = scipy.linalg.lapack.dtrtrs(r.T, q.T @ target, lower=1, trans=1)[0] / size[independent]
     return q, coefficients
 
 
@@ -38,9 +38,9 @@ def _orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     rank = min(columns.shape)
     if rank == 0:
         return np.zeros((columns.shape[0], 0)), np.zeros((0, columns.shape[1]))
-    factors, reflections, _, _ = lapack.dgeqrf(columns)
+    factors, reflections, _, _ = scipy.linalg.lapack.dgeqrf(columns)
     r = factors[:rank].copy()
-    q: FloatArray = lapack.dorgqr(factors[:, :rank], reflections)[0]
+    q: FloatArray = scipy.linalg.lapack.dorgqr(factors[:, :rank], reflections)[0]
     return q, r
 
 
