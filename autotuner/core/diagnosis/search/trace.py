@@ -247,7 +247,8 @@ def _with_free_curve(
     accepted = [c for c in curves if is_accepted(context, base, base.best, c)]
     if not accepted:
         return best, curves
-    first = accepted[-1]  # of a curve and steps of unequal size, steps: they are held to less
+    # Of a curve and steps of unequal size, steps: they are held to less.
+    first = next((c for c in accepted if c.names == ("output_quantisation",)), accepted[0])
     beside = []
     if first.rms > NOTHING_LEFT * noise_of(context, first):
         beside = extend(context, [first], catalogue(first, context.coarse, declared))
