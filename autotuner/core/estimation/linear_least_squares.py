@@ -29,7 +29,9 @@ def solve_linear(columns: FloatArray, target: FloatArray) -> tuple[FloatArray, F
         q, r = _orthogonal(columns[:, independent] / size[independent])
     coefficients = np.zeros(size.size)
     if independent.size:
-        coefficients[independent] = scipy.linalg.lapack.dtrtrs(r.T, q.T @ target, lower=1, trans=1)[0] / size[independent]
+        coefficients[independent] = (
+            scipy.linalg.lapack.dtrtrs(r.T, q.T @ target, lower=1, trans=1)[0] / size[independent]
+        )
     return q, coefficients
 
 
