@@ -148,7 +148,7 @@ def test_a_plc_that_is_not_there(capsys, config, tmp_path):
 
 def test_tune_applies_and_verifies_in_one_go(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, out, err = run(capsys, "tune", "--verify", "--no-check", "--structure", "fopdt")
+    code, out, err = run(capsys, "tune", "--verify", "--no-check", "--structure", "fopdt", "--rule", "simc_pi")
     assert code == 0, err
     for text in ("gains written and read back", "overshoot", "predicted", "verified:"):
         assert text in out

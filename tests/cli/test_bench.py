@@ -25,6 +25,7 @@ def test_a_name_that_is_none_is_refused(capsys):
     assert "effects" in capsys.readouterr().err
 
 
+@pytest.mark.long  # the effects by themselves are in tests/diagnosis
 def test_hidden_physics_is_named_on_a_few_records_of_the_benchmark(capfd):
     """Some of what `autotuner bench effects` judges: the confusion, the errors before and after, false alarms."""
     sections = ["--sections", "single", "clean", "--first", "11", "--thin", "399"]

@@ -29,10 +29,10 @@ def tune(folder, *more, config=EXAMPLE):
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
-    """Return both results, and the folder of their reports."""
+    """Return both results, and the folder of their recordings."""
     folder = tmp_path_factory.mktemp("cascade")
     with (folder / "out.json").open("w") as out, contextlib.redirect_stdout(out):
-        assert tune(folder, "--json", "--report", str(folder / "tank.html")) == 0
+        assert tune(folder, "--json", "--recording", str(folder / "tank.csv")) == 0
     return json.loads((folder / "out.json").read_text()), folder
 
 
@@ -51,8 +51,15 @@ def test_the_inner_loop_holds_its_gains_and_the_outer_one_is_left_in_manual(tune
     assert found["TIC-7"]["applied"] is None
     assert found["TIC-7"]["restored"]
     assert found["TIC-7"]["before"]["output"] == pytest.approx(200.0, abs=1.0)
-    assert "Tuning of TIC-7" in (folder / "tank.html").read_text()
-    assert "Tuning of FIC-7" in (folder / "tank-FIC-7.html").read_text()
+    assert (folder / "tank.csv").is_file()
+    assert (folder / "tank-FIC-7.csv").is_file()
+
+
+@pytest.mark.long  # the files of both loops are named above, and reports of one loop are in tests/reports
+def test_each_loop_has_its_report(tmp_path):
+    assert tune(tmp_path, "--json", "--report", str(tmp_path / "tank.html")) == 0
+    assert "Tuning of TIC-7" in (tmp_path / "tank.html").read_text()
+    assert "Tuning of FIC-7" in (tmp_path / "tank-FIC-7.html").read_text()
 
 
 OUTER, INNER = 'drives = "steam flow"', 'named = "steam flow"'

@@ -24,7 +24,7 @@ def records(tmp_path_factory):
     config = folder / "loops.toml"
     config.write_text(EXAMPLE)
     for loop, other in (("T1", "T2"), ("T2", "T1")):
-        assert tune(folder, loop, other, "--config", str(config), "--json") == 0
+        assert tune(folder, loop, other, "--config", str(config), "--json", "--rule", "simc_pi") == 0
     return folder
 
 

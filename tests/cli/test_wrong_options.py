@@ -20,6 +20,7 @@ def mark(tmp_path, monkeypatch):
     sys.modules.pop("touched_rig", None)
 
 
+@pytest.mark.long  # one line of each kind is below
 def test_hundreds_of_wrong_lines_are_refused_by_field_value_and_remedy(capsys, mark):
     lines = BENCH["wrong_lines"]()
     assert len(lines) > 100

@@ -69,7 +69,7 @@ def test_a_record_in_which_something_else_swung_the_pv_gets_the_gains_of_the_pro
     assert analysis.identification.model.parameters() == pytest.approx({"K": 2.0, "T": 10.0, "D": 1.5}, rel=0.02)
 
 
-@pytest.mark.parametrize(("size", "share"), [(4.0, 0.15), (-3.0, 0.3)])
+@pytest.mark.parametrize(("size", "share"), [(4.0, 0.15), pytest.param(-3.0, 0.3, marks=pytest.mark.long)])
 def test_a_load_step_in_mid_experiment_costs_the_stretch_before_it_only(recording, size, share):
     """A load at the output of the process, through a lag of its own: 3 s."""
     begin, end = recording.settings["segments"]["relay"], recording.settings["segments"]["tail"]

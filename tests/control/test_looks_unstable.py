@@ -35,7 +35,7 @@ def relay_record(plant, *loads):
     ("plant", "load"),
     [
         (Fopdt(6.0, 60.0, 2.0), LoadRamp(20.0, -6.0, 30.0)),
-        (Integrating(0.1, 1.0, 2.0), LoadRamp(20.0, -6.0, 30.0)),
+        pytest.param(Integrating(0.1, 1.0, 2.0), LoadRamp(20.0, -6.0, 30.0), marks=pytest.mark.long),
         (Integrating(0.1, 1.0, 2.0), LoadStep(30.0, -5.0)),
     ],
     ids=str,

@@ -15,6 +15,7 @@ from autotuner.control.devices.plugins import make_backend
 from autotuner.control.records.device_lock import acquire
 from autotuner.control.records.journal import Journal
 from autotuner.control.records.lease_record import Kind
+from autotuner.core.design import DesignSpec
 from autotuner.errors import LoopBusyError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from tests.control.conftest import loop_table
@@ -40,7 +41,7 @@ def scene(tmp_path):
     def make(die):
         loop = loop_table({"auto": True})
         device = Device(make_backend("simulated", loop.device, "loops.x"), die)
-        request = TuningRequest(loop.experiment_settings(check=False), "fopdt")
+        request = TuningRequest(loop.experiment_settings(check=False), "fopdt", DesignSpec(rule="simc_pi"))
 
         async def main():
             manager = managed(loop, device, tmp_path)

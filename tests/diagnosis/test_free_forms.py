@@ -260,6 +260,7 @@ def axis_moved_to_and_fro(seed=1):
     return Recording(t, np.array(output), np.array(pv) + random.normal(0.0, 2e-4, count))
 
 
+@pytest.mark.long  # friction of the process without a switched load is in test_process_effects
 def test_an_axis_has_friction_by_direction_and_a_load_that_is_switched():
     """An axis integrates its forces twice: what is left is a random walk, in which the load is hidden."""
     found = diagnose(axis_moved_to_and_fro())
