@@ -42,7 +42,7 @@ class Offer:
     gains: PidDesign
 
     def predicted(self, basis: Basis, installed: Installed) -> Offer:
-        """Return the choice with the predicted response of the loop, without the results of rules."""
+        """Return the choice with the predicted response of the loop."""
         return Offer(self.spec, with_prediction(self.gains, basis, installed))
 
     def to_dict(self) -> dict[str, object]:

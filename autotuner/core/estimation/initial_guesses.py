@@ -190,6 +190,7 @@ def _scores(
     if prior.known is not None:
         return scores
     allowed = solved[:, 0] * prior.sign >= 0.0
-    # A zero on the other side is another process, with more dead time, and leads the search away from this one.
-    backward = structure.gains == 1 or solved[:, 0] * solved[:, 1] <= 0.0
-    return np.where(allowed & backward, scores, np.inf)
+    if structure.gains > 1:
+        # A zero on the other side is another process, with more dead time, and leads the search away from this one.
+        allowed &= solved[:, 0] * solved[:, 1] <= 0.0
+    return np.where(allowed, scores, np.inf)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.design.gains import PidGains, controller_response
+from autotuner.core.design.gains import PidGains
 from autotuner.core.design.nyquist import encircles_nothing, frequency_grid, path_ends
 from autotuner.core.design.optimisation.gain_limits import largest_gain
 from autotuner.core.design.requirements import Controller, Purpose, Requirements
@@ -316,16 +316,17 @@ def _checked(search: Search, shape: PidGains) -> PidGains | None:
     if rough is None:
         return None
     w = frequency_grid(search.grid.model, rough, CHECK_STEP_RAD)
-    gains = _on(search, w).gains_at(shape) or rough
-    finer = _on(search, _with_peaks(search.grid.model, gains, w))
+    fine = _on(search, w)
+    gains = fine.gains_at(shape) or rough
+    finer = _on(search, _with_peaks(fine.grid, gains))
     if not finer.keeps(finer.grid.controller(gains) * finer.responses):
         gains = finer.gains_at(shape) or gains
     return gains if finer.stabilises_all(gains) else None
 
 
-def _with_peaks(model: ProcessModel, gains: PidGains, w: FloatArray) -> FloatArray:
+def _with_peaks(grid: LoopGrid, gains: PidGains) -> FloatArray:
     """Return the frequencies with more of them around the largest of either sensitivity, where a peak is narrow."""
-    loop = controller_response(gains, w) * frequency_response(model, w)
+    w, loop = grid.w, grid.controller(gains) * grid.process
     distance = np.abs(1.0 + loop)
     largest = {int(np.argmin(distance)), int(np.argmax(np.abs(loop) / distance))}
     around = [np.linspace(w[max(k - 1, 0)], w[min(k + 1, w.size - 1)], PEAK_POINTS) for k in largest]

@@ -74,7 +74,7 @@ def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -
     """Return the best starts of an effect over all bases, the best first."""
     starts = [start for tangent in tangents for start in _scored(context, tangent, effect)]
     ranked = _best_first(starts)
-    if adds_columns(effect):
+    if effect.only_adds:
         return ranked[:KEPT]
     again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
     return _best_first(again)[:KEPT]
@@ -85,18 +85,13 @@ def _best_first(starts: Sequence[Start]) -> list[Start]:
     return without_rounding(starts, lambda s: s.score)
 
 
-def adds_columns(effect: Effect) -> bool:
-    """Return whether an effect leaves input and response as they are."""
-    return effect.position is None and effect.transport is None and effect.response is None
-
-
 def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start]:
     base = tangent.base
     if not fits_beside(effect, base.problem.effects):
         return []
     effects = tuple(sorted((*base.problem.effects, effect), key=lambda e: e.rank))
     problem = replace(base.problem, effects=effects, rows=context.screen)
-    score = _score_of_columns if adds_columns(effect) else _score_of_change
+    score = _score_of_columns if effect.only_adds else _score_of_change
     return [
         Start(problem, theta, score(context, tangent, effect, problem, theta, values))
         for values in effect.starts
