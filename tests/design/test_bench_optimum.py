@@ -8,7 +8,11 @@ from benchmarks.accuracy.tuning.gains import OPTIMA, best_error
 from benchmarks.baselines.amigo_batch import batch, ultimate
 
 
-@pytest.mark.parametrize(("name", "Ti_over_Pu"), [("P1 T=6", 0.8), ("P4 n=5", 0.8), ("P6 L=0.5", float("inf"))])
+@pytest.mark.parametrize(("name", "Ti_over_Pu"), [
+    ("P1 T=6", 0.8),
+    pytest.param("P4 n=5", 0.8, marks=pytest.mark.long),
+    pytest.param("P6 L=0.5", float("inf"), marks=pytest.mark.long),
+])  # fmt: skip
 def test_a_pi_or_p_controller_is_no_obstacle(name, Ti_over_Pu):
     process = next(process for process in batch() if process.name == name)
     with OPTIMA.open() as file:

@@ -1,3 +1,6 @@
+"""The simulated closed loop against the response of the process to its output, and against papers."""
+
+import functools
 import math
 
 import numpy as np
@@ -29,18 +32,20 @@ MODELS = [
     InverseResponse(1.0, 5.0, 2.0, 1.0, 0.7),
     UnstableFopdt(1.0, 10.0, 1.0),
 ]
+designed = functools.cache(design)
+"""The same gains, computed once: two tests judge them."""
 
 
 @pytest.mark.parametrize("model", MODELS, ids=str)
 def test_process_moves_exactly_under_the_outputs_commanded(model):
     """Against the response of a process to a held input, computed elsewhere and in another way."""
-    found = predict(model, PidSettings(design(model).gains), Scenario(60.0, 0.5, 1.0, 0.3))
+    found = predict(model, PidSettings(designed(model).gains), Scenario(60.0, 0.5, 1.0, 0.3))
     np.testing.assert_allclose(found.pv, response(model, found.t, found.output + 0.3), atol=1e-9)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=str)
 def test_quick_sampling_gives_the_error_of_the_design(model):
-    found = design(model)
+    found = designed(model)
     scale = model.D + 10.0
     prediction = predict(model, PidSettings(found.gains), Scenario(20.0 * scale, 0.005 * scale, load_step=1.0))
     assert prediction.iae == pytest.approx(found.iae, rel=0.03)

@@ -1,5 +1,6 @@
 """Two loops that disturb each other: closed forms by hand, and loops of the simulator."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -16,11 +17,13 @@ from autotuner_sim import SopdtOverdamped
 from autotuner_sim.coupled import coupled_plants
 
 SCAN_S = 0.1
+designed = functools.cache(design)
+"""The same gains, computed once: several tests judge them."""
 
 
 def pair_of(k12, k21, T12=10.0, D12=1.0, detuning=1.0):
     first, second = Fopdt(2.0, 10.0, 1.0), Fopdt(1.0, 8.0, 1.0)
-    gains = [replace(one, Kp=one.Kp / detuning) for one in (design(first).gains, design(second).gains)]
+    gains = [replace(one, Kp=one.Kp / detuning) for one in (designed(first).gains, designed(second).gains)]
     cross = [Fopdt(k, T12, D12) if k else None for k in (k12, k21)]
     return Pair(first, second, cross[0], cross[1], (gains[0], gains[1]))
 
@@ -78,7 +81,7 @@ def test_equal_processes_by_closed_form():
     `S_1' = (S_+ + S_-)/2`, with the sensitivities of these two.
     """
     a, g = 0.4, Fopdt(1.0, 10.0, 1.0)
-    gains = design(g).gains
+    gains = designed(g).gains
     gains = replace(gains, Kp=gains.Kp / 2.0)
     found = interaction(Pair(g, g, replace(g, K=a), replace(g, K=a), (gains, gains)))
     w = np.geomspace(1e-3, 1e2, 200_000)
@@ -94,7 +97,7 @@ def test_equal_processes_by_closed_form():
 def test_the_border_of_stability_is_that_of_two_equal_loops(factor):
     """Equal processes: the pair is unstable from where the loop of `(1 + a) g` is."""
     g, a = Fopdt(1.0, 10.0, 1.0), 0.6
-    gains = design(g).gains
+    gains = designed(g).gains
     largest = margins(replace(g, K=1.0 + a), gains).gain_margin
     gains = replace(gains, Kp=factor * largest * gains.Kp)
     found = interaction(Pair(g, g, replace(g, K=a), replace(g, K=a), (gains, gains)))
@@ -135,7 +138,7 @@ def test_detuned_loops_keep_the_limit_and_settle_in_the_simulator():
 def test_a_decoupler_leaves_the_other_pv_alone_in_the_simulator():
     """With equal dynamics in all paths a static decoupler is exact: a set-point step moves the other PV no more."""
     first, second = Fopdt(2.0, 10.0, 1.0), Fopdt(1.0, 10.0, 1.0)
-    gains = design(first).gains, design(second).gains
+    gains = designed(first).gains, designed(second).gains
     pair = Pair(first, second, Fopdt(1.2, 10.0, 1.0), Fopdt(0.6, 10.0, 1.0), gains)
     remedy = decoupled(pair, 1.4)
     assert remedy.decoupler == pytest.approx((-0.6, -0.6))

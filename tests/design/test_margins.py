@@ -51,7 +51,7 @@ def polynomial_loop(model, gains):
     return np.convolve(controller, r.b), np.convolve(lag, r.a)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.data())
 def test_stability_agrees_with_the_poles(any_gains, data):
     gains = replace(data.draw(any_gains), Tf=data.draw(st.floats(1e-3, 10.0)))
@@ -77,7 +77,7 @@ def test_stability_agrees_with_the_poles(any_gains, data):
     assert is_stable(model, gains) == bool(np.all(poles.real < 0.0))
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.data())
 def test_each_margin_is_the_edge_of_stability(stable_models, data):
     model = data.draw(stable_models)
@@ -95,7 +95,7 @@ def test_each_margin_is_the_edge_of_stability(stable_models, data):
         assert not is_stable(replace(model, D=D + found.delay_margin_s * (1.0 + EPS)), gains)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.data())
 def test_peaks_agree_with_a_fine_grid(stable_models, data):
     model = data.draw(stable_models)

@@ -50,7 +50,7 @@ def test_a_goal_keeps_its_limit_and_the_output_moves_as_predicted(goal):
 def test_without_noise_the_gains_are_as_they_were():
     for basis in (Basis(HEATER, None, H), Basis(HEATER, None, H, noise_of(1e-6, 1e-6, H), None, DEVICE)):
         limited = Basis(basis.model, None, H, basis.noise, None, basis.device, SPAN)
-        before, after = (design_from_spec(one, DesignSpec("balanced")) for one in (basis, limited))
+        before, after = (design_from_spec(one, DesignSpec("balanced"), compared=False) for one in (basis, limited))
         assert after.gains == before.gains
         assert after.warnings == before.warnings
 

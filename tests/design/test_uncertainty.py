@@ -18,8 +18,8 @@ MODELS = [
     Integrating(0.1, 1.0, 2.0),
     InverseResponse(1.0, 5.0, 2.0, 1.0, 1.0),
 ]
-FEW = [model if k % 2 == 0 else pytest.param(model, marks=pytest.mark.long) for k, model in enumerate(MODELS)]
-"""Of these every second one; the others take minutes."""
+FEW = [model if k in {0, 4} else pytest.param(model, marks=pytest.mark.long) for k, model in enumerate(MODELS)]
+"""Of these one that settles and one that does not; the others take minutes."""
 
 
 def independent(model, share):
@@ -32,7 +32,7 @@ def test_the_true_loop_seldom_exceeds_the_limit(model, share):
     covariance = independent(model, share)
     gains = design(model, Requirements(), covariance).gains
     rng = np.random.default_rng(7)
-    truths = [shifted(model, rng.multivariate_normal(np.zeros(len(covariance)), covariance)) for _ in range(200)]
+    truths = [shifted(model, rng.multivariate_normal(np.zeros(len(covariance)), covariance)) for _ in range(100)]
     found = [margins(truth, gains) for truth in truths]
     exceeded = sum(not m.stable or m.Ms > 1.4 or m.Mt > 1.4 for m in found)
     assert exceeded <= 0.05 * len(truths)
@@ -53,7 +53,7 @@ def test_lags_that_cannot_be_told_apart_are_known_by_sum_and_product():
 
 @pytest.mark.parametrize("model", FEW, ids=str)
 def test_gains_are_calmer_the_less_is_known(model):
-    errors = [design(model, Requirements(), independent(model, share)).iae for share in (1e-4, 0.03, 0.1, 0.2)]
+    errors = [design(model, Requirements(), independent(model, share)).iae for share in (1e-4, 0.05, 0.2)]
     assert errors == sorted(errors)
     assert errors[0] == pytest.approx(design(model).iae, rel=0.01)
 

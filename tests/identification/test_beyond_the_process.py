@@ -80,8 +80,10 @@ def test_an_output_before_the_record_that_no_record_shows_is_told(moved):
     [
         lambda t: np.sin(t / 7.0),
         lambda t: np.where(t > 70.0, 1.0, 0.0),
-        lambda t: np.cumsum(np.random.default_rng(8).standard_normal(t.size)) / 10.0,
-        lambda t: np.sign(np.sin(t / 11.0)),
+        pytest.param(
+            lambda t: np.cumsum(np.random.default_rng(8).standard_normal(t.size)) / 10.0, marks=pytest.mark.long
+        ),
+        pytest.param(lambda t: np.sign(np.sin(t / 11.0)), marks=pytest.mark.long),
     ],
     ids=["swings", "steps", "wanders", "goes to and fro"],
 )

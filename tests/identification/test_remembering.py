@@ -118,7 +118,7 @@ def test_white_noise_remembers_nothing():
 )
 def test_a_process_is_known_as_well_as_it_can_be_behind_the_memory(plant):
     misses, held = [], []
-    for seed in range(8):
+    for seed in range(4):
         found = identify(relay_record(plant, 0.05, 0.9, seed), plant.structure).estimates["least_squares"]
         assert found.evidence["noise_memory"]
         truth = {name: getattr(plant, name) for name in found.model.parameters()}
