@@ -23,6 +23,7 @@ def recording(rig, virtual):
     return one.tuning.recording()
 
 
+@pytest.mark.long  # `tune` in tests/cli shows the same
 def test_a_model_that_explains_its_record_gets_gains(recording):
     analysis = analyse(recording)
     assert analysis.verdict.code == "identified"

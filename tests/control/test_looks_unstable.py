@@ -34,7 +34,7 @@ def relay_record(plant, *loads):
 @pytest.mark.parametrize(
     ("plant", "load"),
     [
-        (Fopdt(6.0, 60.0, 2.0), LoadRamp(20.0, -6.0, 30.0)),
+        pytest.param(Fopdt(6.0, 60.0, 2.0), LoadRamp(20.0, -6.0, 30.0), marks=pytest.mark.long),
         pytest.param(Integrating(0.1, 1.0, 2.0), LoadRamp(20.0, -6.0, 30.0), marks=pytest.mark.long),
         (Integrating(0.1, 1.0, 2.0), LoadStep(30.0, -5.0)),
     ],
@@ -50,7 +50,11 @@ def test_a_stable_process_under_a_load_that_changes_gets_no_gains_for_an_unstabl
     assert any("whose load changes" in text for text in analysis.identification.warnings)
 
 
-@pytest.mark.parametrize("plant", [UnstableFopdt(1.0, 20.0, 4.0), UnstableFopdt(2.0, 50.0, 4.0)], ids=str)
+@pytest.mark.parametrize(
+    "plant",
+    [UnstableFopdt(1.0, 20.0, 4.0), pytest.param(UnstableFopdt(2.0, 50.0, 4.0), marks=pytest.mark.long)],
+    ids=str,
+)
 def test_an_unstable_process_gets_its_gains(plant):
     analysis = identified(relay_record(plant))
     assert analysis.verdict.code == "identified"

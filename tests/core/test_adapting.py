@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 
-from autotuner.application.analysis.procedure import identified
 from autotuner.core.experiment.relay_phase.steady_state_detector import SteadyStateDetector
 from autotuner.core.experiment.settings import ExperimentSettings, Limits
+from autotuner.core.identification import identify
 from autotuner.errors import InputError
 from autotuner_sim import Fopdt, SopdtUnderdamped, find_limit_cycle, symmetric_relay
 
@@ -39,7 +39,7 @@ def test_the_amplitude_comes_to_the_wish(plant, start):
     assert recording.output.max() <= 100.0
     swings = levels_of(recording)
     assert all(1.0 / 4.5 < b / a < 4.5 for a, b in itertools.pairwise(swings))
-    identification = identified(recording).identification
+    identification = identify(recording, structure=plant.structure, profile=False)
     assert pytest.approx(plant.K, rel=0.03) == identification.model.K
     assert pytest.approx(plant.D, rel=0.03) == identification.model.D
     if identification.limit_cycle is not None:
@@ -54,7 +54,7 @@ def test_a_relay_that_is_lost_in_the_noise_is_made_stronger(plant):
     experiment, recording = conduct(plant, settings, sigma=sigma)
     assert experiment.verdict is None
     assert recording.settings["relay_high"] - recording.settings["relay_low"] > 2.0 * 0.3
-    assert pytest.approx(plant.K, rel=0.15) == identified(recording).identification.model.K
+    assert pytest.approx(plant.K, rel=0.15) == identify(recording, structure=plant.structure, profile=False).model.K
 
 
 def test_a_relay_that_is_given_grows_no_stronger_without_leave():

@@ -87,7 +87,7 @@ def test_a_loop_that_hunts():
     [Stiction(3.0), *(pytest.param(a, marks=pytest.mark.long) for a in (HeStiction(3.0, 0.5), Backlash(3.0)))],
 )
 def test_an_actuator_that_sticks_or_has_play(actuator):
-    loop = running(moves=MOVED_ONCE, seconds=1500.0, gains=EAGER, actuators=[actuator])
+    loop = running(moves=MOVED_ONCE, seconds=900.0, gains=EAGER, actuators=[actuator])
     told = findings(loop, Expected(MODEL, INTERVALS, EAGER))
     assert told.code == "valve_sticking"
     assert set(told.effects) <= {"backlash", "stiction"}

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 import autotuner
+from autotuner.core.design import DesignSpec
 from autotuner.errors import AutotunerError, InputError
 
 PLANT = {"plant": {"structure": "fopdt", "K": 2.0, "T": 10.0, "D": 1.5}, "output0": 40.0, "pv0": 80.0, "noise": 0.05}
@@ -39,7 +40,8 @@ class Rig:
 
 def test_a_simulated_plant_is_tuned_in_virtual_time(tmp_path):
     seen = []
-    result = autotuner.run(simulated=PLANT, progress=seen.append, **QUICK)
+    goal = DesignSpec(rule="simc_pi")
+    result = autotuner.run(simulated=PLANT, structure="fopdt", goal=goal, progress=seen.append, **QUICK)
     assert result.done, result.verdict
     assert pytest.approx((2.0, 10.0, 1.5), rel=0.05) == (result.model.K, result.model.T, result.model.D)
     assert result.gains.Kp > 0.0
@@ -52,7 +54,8 @@ def test_a_simulated_plant_is_tuned_in_virtual_time(tmp_path):
 
 
 def test_gains_are_for_the_controller_that_will_hold_them():
-    result = autotuner.run(simulated=PLANT, controller={"form": "ideal", "set_point_weight": 1.0}, **QUICK)
+    controller = {"form": "ideal", "set_point_weight": 1.0}
+    result = autotuner.run(simulated=PLANT, structure="fopdt", controller=controller, **QUICK)
     assert (result.gains.b, result.gains.Tf) == (1.0, 0.0)
     assert result.design.overshoot < 0.13
 

@@ -5,6 +5,8 @@ import pytest
 
 from autotuner import Recording, diagnose
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 N, H = 260, 3.0
 K, T, SENSOR, OTHER, SLOW = 0.6, 150.0, 12.0, 0.2, 180.0
 
@@ -27,6 +29,7 @@ def two_heaters(seed=3, sigma=0.05):
     return Recording(H * np.arange(N), first, 21.0 + np.array(pv) + noise, extra={"heater_2": second})
 
 
+@pytest.mark.long  # a column with its own lag, and a motion before the record, are in test_*_effects
 def test_a_second_heater_is_taken_in_with_its_own_lag():
     found = diagnose(two_heaters())
     assert [effect.name for effect in found.effects] == ["measured_disturbance"]

@@ -19,6 +19,8 @@ from autotuner.core.model.process import Fopdt, SopdtUnderdamped
 from autotuner_sim import LoadStep
 from tests.diagnosis.cases import PLANTS, tuning_record
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 PLAY = FoundEffect("backlash", "actuator", {"width": 1.0}, {"width": (0.9, 1.1)}, 0.9)
 LOAD = FoundEffect(
     "load_step", "disturbance", {"at_s": 100.0, "size": 2.0}, {"at_s": (99.0, 101.0), "size": (1.5, 2.5)}, 0.9
@@ -120,14 +122,16 @@ def test_a_load_that_comes_and_goes_with_the_answer_to_a_move_is_a_hypothesis():
     assert doubts_about_moments((replace(pulse, name="drift", parameters={"at_s": 60.0}),), dataset, 15.0) == []
 
 
-def test_a_move_that_arrives_late_is_not_explained_by_a_load():
+def test_a_move_that_arrives_late_is_not_explained_by_a_load(among):
+    among("load_step", "bias_step", "drift", "actuator_hold")
     found = diagnose(two_steps(10.0))
     assert found.verdict != "explained" or "load_step" not in [effect.name for effect in found.effects]
     assert found.model["after"] == found.model["before"]
 
 
-def test_what_the_test_part_speaks_against_is_said_and_chooses_nothing():
+def test_what_the_test_part_speaks_against_is_said_and_chooses_nothing(among):
     """The load ends where the test part begins: names and verdict stay, and the sentence says that it is none."""
+    among("load_step", "bias_step", "drift")
     record = tuning_record(PLANTS["balanced"], sigma=0.05, seed=7, loads=[LoadStep(120.0, -3.0)])
     record = Recording(record.t, record.output, record.pv)
     found = diagnose(record)

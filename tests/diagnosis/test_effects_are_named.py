@@ -12,6 +12,8 @@ from autotuner import diagnose
 from autotuner_sim import Backlash, LoadStep, OutputQuantisation, Saturation, SquareRootOutflow
 from tests.diagnosis.cases import PLANTS, SAMPLE_S, swing_of_pv, tuning_record
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 
 def record_of(kind, decibel=40.0, seed=1, **physics):
     plant, step_s = PLANTS[kind], SAMPLE_S[kind]
@@ -27,8 +29,22 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("name", HIDDEN)
-def test_an_effect_is_named_alone_with_its_size(name):
+ACTUATOR = ("backlash", "stiction", "saturation", "rate_limit", "output_quantisation", "direction_gain")
+LOAD = ("load_step", "bias_step", "drift")
+
+
+@pytest.mark.parametrize("name", ["backlash", "saturation", "output_quantisation"])
+def test_an_effect_of_the_actuator_is_named_alone_with_its_size(name, among):
+    among(*ACTUATOR)
+    assert_named_alone(name)
+
+
+def test_an_effect_is_named_alone_with_its_size():
+    """In the whole catalogue."""
+    assert_named_alone("load_step")
+
+
+def assert_named_alone(name):
     kind, physics, truth = HIDDEN[name]
     found = diagnose(record_of(kind, **physics))
     assert found.verdict == "explained"
@@ -59,7 +75,8 @@ def test_a_record_without_the_check_says_what_it_is_blind_to():
     assert any("blind" in note for note in found.notes)
 
 
-def test_two_effects_are_both_named():
+def test_two_effects_are_both_named(among):
+    among(*ACTUATOR[:3], *LOAD)
     found = diagnose(record_of("balanced", 40.0, actuators=[Backlash(3.0)], loads=[LoadStep(120.0, -3.0)]))
     assert {effect.name for effect in found.effects} == {"backlash", "load_step"}
 

@@ -17,6 +17,8 @@ from autotuner.core.model.process import Fopdt
 from autotuner.effects import EffectPlugin, check_effect
 from autotuner.errors import ConfigurationError
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "add-your-own-physics.md"
 SHARE, LATER_S = 0.4, 45.0
 
@@ -59,7 +61,8 @@ def with_recycle(share=SHARE):
     return Recording(np.arange(float(output.size)), output, pv)
 
 
-def test_the_example_of_the_page_conforms_and_is_found(announce):
+def test_the_example_of_the_page_conforms_and_is_found(announce, among):
+    among("recycle", "slow_mode", "extra_lag", "inverse_response")
     announce(example())
     plugin = installed_effects()["recycle"]
     assert check_effect(plugin) == []

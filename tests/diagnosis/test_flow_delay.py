@@ -13,6 +13,8 @@ from autotuner.effects import EffectPlugin, check_effect
 from autotuner_sim import PlugFlow
 from tests.diagnosis.cases import PLANTS, SAMPLE_S, swing_of_pv, tuning_record
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 
 def moves(*at):
     times, levels = zip(*at, strict=True)
@@ -61,7 +63,8 @@ def test_it_conforms():
 
 
 @pytest.mark.parametrize(("kind", "share"), [("delay", 0.4), pytest.param("balanced", 0.6, marks=pytest.mark.long)])
-def test_it_is_named_with_its_size_on_a_record_of_the_simulator(kind, share):
+def test_it_is_named_with_its_size_on_a_record_of_the_simulator(kind, share, among):
+    among("flow_delay", "actuator_hold", "rate_limit", "direction_dynamics")
     plant, step_s = PLANTS[kind], SAMPLE_S[kind]
     sigma = swing_of_pv(plant, step_s) * 10.0 ** (-40.0 / 20.0)
     found = diagnose(tuning_record(plant, step_s, sigma, 1, transport=PlugFlow(plant.D, share, 10.0)))

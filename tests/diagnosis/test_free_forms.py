@@ -17,6 +17,8 @@ from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.estimation.initial_guesses import ringing_shapes
 from autotuner.core.model.zoh_input import smooth_input
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 N, H = 700, 1.0
 
 
@@ -65,8 +67,9 @@ def test_the_course_with_dry_friction_is_that_of_a_general_solver(ratio, first):
     np.testing.assert_allclose(position, found.y[1], atol=5e-3)
 
 
-def test_a_hardening_spring_is_named_with_its_size():
+def test_a_hardening_spring_is_named_with_its_size(among):
     """Duffing: m x'' + n x' + x + b x^3 = K u."""
+    among("nonlinear_stiffness", "nonlinear_loss", "extra_lag", "slow_mode")
     output = steps(hold=12)
 
     def duffing(x, u, _t):
@@ -79,8 +82,9 @@ def test_a_hardening_spring_is_named_with_its_size():
     assert found.verdict == "explained"
 
 
-def test_an_inverse_response_is_found_where_dead_time_stood_for_it():
+def test_an_inverse_response_is_found_where_dead_time_stood_for_it(among):
     """Two paths, 1.6/(30 s + 1) - 0.6/(6 s + 1): a zero at Z = 0.6 30 - 1.6 6 = 8.4 s, behind a dead time of 5 s."""
+    among("inverse_response", "extra_lag", "slow_mode", "flow_delay")
     output = steps()
     late = np.concatenate((np.zeros(5), output[:-5]))
 
@@ -93,7 +97,8 @@ def test_an_inverse_response_is_found_where_dead_time_stood_for_it():
     assert pytest.approx(5.0, rel=0.05) == found.process.D
 
 
-def test_lags_in_a_row_are_a_further_lag_and_its_time_is_in_the_sum():
+def test_lags_in_a_row_are_a_further_lag_and_its_time_is_in_the_sum(among):
+    among("extra_lag", "inverse_response", "slow_mode", "flow_delay")
     output = steps(hold=25)
     lags = (14.0, 11.0, 9.0, 7.0)
 
@@ -121,7 +126,8 @@ def lag(x, v, _t):
     return (2.0 * v - x) / 15.0
 
 
-def test_steps_of_unequal_size_are_named_first_or_as_what_no_record_tells_from_the_first():
+def test_steps_of_unequal_size_are_named_first_or_as_what_no_record_tells_from_the_first(among):
+    among("output_quantisation", "static_nonlinearity", "saturation", "direction_gain")
     edges = np.array([-9.0, -4.5, 0.0, 1.5, 6.5, 8.0])
     output, stands = positioned(
         lambda u: edges[np.argmin(np.abs(edges - u[:, None]), axis=1)], 8.0, [-1.0, -0.4, 0.4, 1.0]
@@ -133,7 +139,8 @@ def test_steps_of_unequal_size_are_named_first_or_as_what_no_record_tells_from_t
     assert found.error["fitted"].after < 1.3 * 0.05 < 0.2 * found.error["fitted"].before
 
 
-def test_a_curve_of_many_levels_is_a_static_nonlinearity():
+def test_a_curve_of_many_levels_is_a_static_nonlinearity(among):
+    among("static_nonlinearity", "saturation", "direction_gain", "output_quantisation")
     output, stands = positioned(lambda u: 5.0 * np.tanh(u / 5.0), 8.0, np.linspace(-1.0, 1.0, 41))
     found = diagnose(recorded(output, integrated(lag, stands, [0.0])[:, 0], 0.05))
     assert [effect.name for effect in found.effects] in (["static_nonlinearity"], ["saturation"])

@@ -9,6 +9,8 @@ from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner_sim import BiasStep, LoadStep, PowerLaw
 from tests.diagnosis.cases import PLANTS, SAMPLE_S, tuning_record
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 AT_S = 150.0
 
 

@@ -6,6 +6,8 @@ import pytest
 from autotuner import Recording, diagnose
 from autotuner.errors import RecordingError
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 
 def closed_form(size=600, noise=0.05, seed=1):
     """Steps of a lag of 10 s, gain 2: y += (1 - e^{-1/10})(2 u - y)."""
@@ -83,16 +85,21 @@ def test_more_samples_than_are_needed_are_thinned_with_a_note():
     assert any("samples were used" in note for note in found.notes)
 
 
-def test_a_measured_disturbance_is_taken_in_with_its_gain():
-    t, output, pv = closed_form()
+OUTSIDE = ("measured_disturbance", "ambient", "load_step", "drift")
+
+
+def test_a_measured_disturbance_is_taken_in_with_its_gain(among):
+    among(*OUTSIDE)
+    t, output, pv = closed_form(360)
     outside = 3.0 * np.sin(t / 45.0)
     found = diagnose(Recording(t, output, pv + 0.7 * outside, extra={"room": outside}))
     assert [effect.name for effect in found.effects] == ["ambient"]
     assert found.effects[0].parameters["gain"] == pytest.approx(0.7, rel=0.02)
 
 
-def test_of_two_columns_that_tell_the_same_the_better_one_is_taken_in():
-    t, output, pv = closed_form()
+def test_of_two_columns_that_tell_the_same_the_better_one_is_taken_in(among):
+    among(*OUTSIDE)
+    t, output, pv = closed_form(360)
     outside = 3.0 * np.sin(t / 45.0)
     rough = outside + np.random.default_rng(5).normal(0.0, 1.0, t.size)
     found = diagnose(Recording(t, output, pv + 0.7 * outside, extra={"rough": rough, "room": outside}))
@@ -100,7 +107,8 @@ def test_of_two_columns_that_tell_the_same_the_better_one_is_taken_in():
     assert any(note.startswith("column rough is not taken in") for note in found.notes)
 
 
-def test_a_column_that_does_nothing_is_not_taken_in_and_the_reader_is_told():
+def test_a_column_that_does_nothing_is_not_taken_in_and_the_reader_is_told(among):
+    among(*OUTSIDE)
     t, output, pv = closed_form()
     load = np.where(t > 250.0, 4.0, 0.0)
     elsewhere = np.random.default_rng(6).normal(0.0, 1.0, t.size).cumsum()

@@ -9,6 +9,8 @@ import pytest
 from autotuner import Recording, diagnose
 from benchmarks.accuracy.diagnosis.independent import Case, record_of
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 PARTS = 40
 """Steps of Euler's method in a sample interval."""
 K, T1, T2, DELAY = 2.0, 10.0, 4.0, 3.0
@@ -71,7 +73,8 @@ class Updated:
         return self.at
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.long  # what updates are taken over, and when they came, is in test_actuator_effects and test_late_moves
+@pytest.mark.parametrize("seed", [3, 4])
 def test_an_actuator_that_is_updated_at_uneven_times_is_named(seed):
     rng = np.random.default_rng(seed)
     output = levels(rng, 700, 15, 45)
@@ -109,15 +112,17 @@ def relay_with_a_bad_reading(until=700):
     return np.array(output), np.array(pv)
 
 
-def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named():
+def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named(among):
+    among("bias_step", "load_step", "drift")
     output, pv = relay_with_a_bad_reading()
     answer = diagnose(Recording(np.arange(output.size, dtype=float), output, pv))
     assert [(e.name, e.form) for e in answer.effects] == [("bias_step", "there and back")]
     assert answer.effects[0].parameters["size"] == pytest.approx(-3.0, abs=0.2)
 
 
-def test_a_wave_that_one_process_has_taken_up_is_named():
+def test_a_wave_that_one_process_has_taken_up_is_named(among):
     """Its period is a few of the lags, and its size a good part of what the steps make."""
+    among("periodic_disturbance", "ambient", "load_step")
     output = levels(np.random.default_rng(6), 600, 15, 60)
     t = np.arange(output.size)
     answer = diagnose(recorded(output, integrated(output, straight) + 6.0 * np.sin(2.0 * np.pi * t / 31.0 + 1.0)))
@@ -126,7 +131,8 @@ def test_a_wave_that_one_process_has_taken_up_is_named():
     assert answer.effects[0].parameters["amplitude"] == pytest.approx(6.0, rel=0.05)
 
 
-def test_a_wave_that_begins_within_the_record_is_named():
+def test_a_wave_that_begins_within_the_record_is_named(among):
+    among("periodic_disturbance", "ambient", "load_step")
     output = levels(np.random.default_rng(7), 600, 15, 60)
     t = np.arange(output.size)
     wave = np.where(t >= 230, 3.0 * np.sin(2.0 * np.pi * (t - 230) / 37.0), 0.0)
@@ -145,7 +151,8 @@ def test_a_limit_and_a_drift_are_both_named():
     assert answer.error["held_out"].after < 1.3 * hidden.sigma < answer.error["held_out"].before / 20.0
 
 
-def test_unequal_rates_of_an_actuator_are_found():
+def test_unequal_rates_of_an_actuator_are_found(among):
+    among("rate_limit", "direction_dynamics", "backlash", "direction_gain")
     at = {"x": 40.0}
 
     def limited(u, _t):
@@ -160,8 +167,9 @@ def test_unequal_rates_of_an_actuator_are_found():
     assert sizes["falling_rate_per_s"] == pytest.approx(0.9, rel=0.1)
 
 
-def test_a_gain_that_changes_at_another_level_than_the_first_is_found():
+def test_a_gain_that_changes_at_another_level_than_the_first_is_found(among):
     """Below 43 the actuator has its gain, above it a third of it."""
+    among("direction_gain", "static_nonlinearity", "saturation", "backlash")
     output = levels(np.random.default_rng(9), 600, 20, 60)
     answer = diagnose(recorded(output, integrated(output, lambda u, _t: min(u, 43.0) + max(u - 43.0, 0.0) / 3.0)))
     assert [(e.name, e.form) for e in answer.effects] == [("direction_gain", "kink elsewhere")]

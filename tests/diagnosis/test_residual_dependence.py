@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
+from autotuner.core.diagnosis import diagnose as search
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.findings.residual_dependence import _share, dependences, in_words
 from autotuner.core.diagnosis.record.dataset import dataset_of
+
+pytestmark = pytest.mark.usefixtures("without_gains")
 
 SIGMA = 0.02
 
@@ -57,15 +60,25 @@ def test_nothing_is_said_of_noise():
     assert in_words(()) == []
 
 
-def test_an_unexplained_record_carries_the_description():
-    """A reading that jumps to and fro at random has no name in the catalogue."""
+def unnamed():
+    """Return a record whose reading jumps to and fro at random, for which the catalogue has no name."""
     random = np.random.default_rng(8)
     beats = np.cumsum(random.random(1200) < 0.04) % 2 * random.choice([0.4, 1.1], 1200)
-    found = diagnose(record(lambda _: beats))
-    assert found.verdict in {"unexplained", "partly_explained"}
+    return record(lambda _: beats)
+
+
+def test_an_unexplained_record_carries_the_description():
+    """Whatever a search would find: here there is no time for one."""
+    found = search(unnamed(), is_spent=lambda: True)
+    assert found.verdict == "unexplained"
     told = found.to_dict()
     assert {row["variable"] for row in told["missing"]} >= {"output", "PV", "time"}
     assert any("what is missing" in note for note in found.notes)
+
+
+@pytest.mark.long  # the description is in the test above
+def test_jumps_to_and_fro_at_random_have_no_name():
+    assert diagnose(unnamed()).verdict in {"unexplained", "partly_explained"}
 
 
 def test_an_output_of_two_levels_has_no_curve():

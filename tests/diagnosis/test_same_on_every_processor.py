@@ -19,6 +19,8 @@ from autotuner.core.diagnosis.search.search import better_of, extend
 from autotuner_sim import Backlash, OutputQuantisation
 from tests.diagnosis.cases import PLANTS, tuning_record
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 ROUNDING = 1e-9
 SEEDS = range(20)
 
@@ -115,7 +117,8 @@ def test_of_plateaus_as_high_the_widest_is_first_and_taken_in_its_middle():
 @pytest.mark.parametrize(
     "sigma", [pytest.param(0.0, marks=pytest.mark.long, id="without noise"), pytest.param(0.05, id="with noise")]
 )
-def test_the_answer_is_that_of_the_record_whose_last_digits_differ(sigma):
+def test_the_answer_is_that_of_the_record_whose_last_digits_differ(sigma, among):
+    among("output_quantisation", "backlash", "stiction", "actuator_hold")
     record = tuning_record(PLANTS["balanced"], sigma=sigma, seed=1, actuators=[OutputQuantisation(1.7)])
     moved = rounded(record.pv, np.random.default_rng(2))
     one, other = diagnose(record), diagnose(Recording(record.t, record.output, moved, settings=record.settings))

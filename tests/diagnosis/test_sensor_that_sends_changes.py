@@ -10,6 +10,8 @@ from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.record.sensor import new_readings
 from tests.diagnosis.simulated import LAG, PAIR, moves, record
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 
 def sent_on_change(whole, least, sigma=0.01):
     """Return the record as a sensor sends it that is silent until the PV has moved by `least`."""

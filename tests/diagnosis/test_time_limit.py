@@ -11,6 +11,8 @@ from autotuner.application.analysis import diagnosis
 from autotuner.core.diagnosis import diagnose
 from autotuner.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 
 def with_play(width, until=400):
     """Return a lag of 8 s, 2 s late, behind a play, by Euler's method in steps of 0.05 s."""
@@ -35,12 +37,12 @@ def after(questions):
 def test_without_a_limit_the_play_explains_the_record_and_the_reader_hears_of_it():
     heard = []
     answer = diagnose(with_play(2.0), on_progress=heard.append)
-    assert (answer.verdict, answer.effects[0].name) == ("explained", "backlash")
+    assert (answer.verdict, [effect.name for effect in answer.effects]) == ("explained", ["backlash"])
     assert heard
     assert all("times the noise" in sentence for sentence in heard)
 
 
-@pytest.mark.parametrize("questions", [0, 10, 60])
+@pytest.mark.parametrize("questions", [0, 30])
 def test_a_search_that_is_cut_ends_in_unexplained_with_the_best_so_far(questions):
     answer = diagnose(with_play(2.0), is_spent=after(questions))
     assert answer.verdict == "unexplained"

@@ -16,6 +16,8 @@ from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of, positio
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.model.zoh_input import HeldInput
 
+pytestmark = pytest.mark.usefixtures("without_gains")
+
 K, T, DELAY, NOISE, SAMPLES, FINE = 1.5, 9.0, 3, 0.02, 700, 20
 KP, TI = 0.6, 9.0
 
@@ -71,7 +73,7 @@ def test_a_process_nearby_is_mended_along_its_tangent():
     assert math.sqrt(bands.squares(FOPDT, near)[0] / np.count_nonzero(dataset.fitted)) < 1.3 * NOISE
 
 
-@pytest.mark.parametrize(("static", "kinetic"), [(1.6, 0.6), (1.1, 0.3)])
+@pytest.mark.parametrize(("static", "kinetic"), [(1.6, 0.6), pytest.param(1.1, 0.3, marks=pytest.mark.long)])
 def test_a_loop_that_cycles_by_its_valve_is_explained_by_the_bands(static, kinetic):
     answer = diagnose(sticking_loop(static, kinetic))
     assert [effect.name for effect in answer.effects] == ["stiction"]
@@ -96,6 +98,7 @@ def one_slip():
     return Recording(np.arange(340.0), 30.0 + np.array(u), 50.0 + np.array(y))
 
 
+@pytest.mark.long  # the loop that cycles, above, shows the bands; the next test the drift
 def test_a_valve_that_slips_once_is_found_beside_the_drift_that_the_controller_fights():
     context = bench_of(dataset_of(one_slip()))
     base = base_of(context, ("offset", "state"), 0)

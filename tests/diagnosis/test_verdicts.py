@@ -103,8 +103,10 @@ def test_friction_that_was_found_is_no_blind_spot():
     assert "play" not in spots(found)
 
 
-def test_a_limit_that_shows_at_the_end_only_is_never_called_adequate():
+@pytest.mark.usefixtures("without_gains")
+def test_a_limit_that_shows_at_the_end_only_is_never_called_adequate(among):
     """Too late in the record to be named: the verdict says that something is missing, a note where."""
+    among("state_saturation", "saturation", "load_step")
     clean = tuning_record(PLANTS["lag"])
     fitted = clean.t < clean.settings["segments"]["tail"]
     limit = (clean.pv[fitted].max() + clean.pv[: parts_of(clean).tested.start].max()) / 2.0 - 100.0
@@ -127,7 +129,8 @@ def test_gains_are_shown_on_the_loop_with_the_effect():
     assert "with_effects" not in clean["after"]
 
 
-def test_gains_for_two_directions_are_those_for_the_stronger_one():
+def test_gains_for_two_directions_are_those_for_the_stronger_one(among):
+    among("direction_gain", "static_nonlinearity", "saturation")
     found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[DirectionGain(1.8)]))
     assert [effect.name for effect in found.effects] == ["direction_gain"]
     weaker = autotuner.design(found.process, "balanced")

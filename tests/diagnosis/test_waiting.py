@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.extended.base import base_of
+from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.waiting import Waiting, waiting, waiting_of
+
+pytestmark = pytest.mark.usefixtures("without_gains")
 
 NOTHING = Waiting(sticks=False, follows=False)
 
@@ -48,14 +53,26 @@ def test_it_is_named():
     assert SLIPS & {effect.name for effect in diagnose(flow_loop(band=1.0)).effects}
 
 
-def test_a_pv_that_follows_every_move_has_no_friction():
+@pytest.fixture(scope="module")
+def following():
+    """Return a record whose PV follows every move of the output."""
     t = np.arange(900.0)
     u = np.sin(t / 40.0) + 0.6 * np.sin(t / 17.0)
-    recording = Recording(t, 50.0 + u, 100.0 + 2.0 * u + 0.05 * np.random.default_rng(2).standard_normal(t.size))
-    found = seen(recording)
+    return Recording(t, 50.0 + u, 100.0 + 2.0 * u + 0.05 * np.random.default_rng(2).standard_normal(t.size))
+
+
+def test_a_pv_that_follows_every_move_has_no_friction(following):
+    u, found = following.output, seen(following)
     assert (found.sticks, found.follows) == (False, True)
     assert found.largest_step == pytest.approx(0.08 * np.ptp(u), rel=0.02)
-    assert not SLIPS & {effect.name for effect in diagnose(recording).effects}
+    context = bench_of(dataset_of(following))
+    searched = catalogue(base_of(context, ("offset",), 0).best, context.coarse)
+    assert not SLIPS & {effect.name for effect in searched}
+
+
+@pytest.mark.long  # the test above shows that friction is not searched for
+def test_none_is_named_where_the_pv_follows(following):
+    assert not SLIPS & {effect.name for effect in diagnose(following).effects}
 
 
 def test_play_of_half_the_swing_is_not_taken_for_following():

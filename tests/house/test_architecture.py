@@ -41,6 +41,12 @@ def structure(root):
     return module
 
 
+@pytest.fixture(scope="module")
+def sources(root, structure):
+    """Return the modules of the packages, parsed, by name."""
+    return structure.sources(root)
+
+
 def test_import_contracts_hold(root):
     check = "from importlinter.cli import lint_imports_command as check; check()"
     done = subprocess.run(
@@ -49,13 +55,13 @@ def test_import_contracts_hold(root):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_no_module_is_in_an_import_circle(root, structure):
+def test_no_module_is_in_an_import_circle(structure, sources):
     """Module by module, where the contract looks at rooms and leaves one pair of them out."""
-    assert structure.circles(structure.imports(structure.sources(root))) == []
+    assert structure.circles(structure.imports(sources)) == []
 
 
-def test_every_number_has_its_unit_and_reason(root, structure):
-    names = {name: structure.undocumented_constants(tree) for name, tree in structure.sources(root).items()}
+def test_every_number_has_its_unit_and_reason(structure, sources):
+    names = {name: structure.undocumented_constants(tree) for name, tree in sources.items()}
     assert {name: found for name, found in names.items() if found} == {}
 
 
