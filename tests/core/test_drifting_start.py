@@ -237,3 +237,42 @@ def test_a_load_step_that_falls_into_the_rest_is_waited_out():
     assert recording.segments["relay"] > 60.0
     assert abs(recording.settings.get("drift_per_s", 0.0)) < 0.02
     assert pytest.approx(plant.K, rel=0.1) == model_of(recording, plant).K
+
+
+@pytest.mark.parametrize("load", [15.0, -15.0])
+def test_the_levels_follow_a_load_that_is_larger_than_the_relay(load):
+    """Neither level brings the PV back then: both move by an amplitude, and the relay goes on."""
+    plant = Fopdt(2.0, 10.0, 1.0)
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 40.0, amplitude=AMPLITUDE)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(4.0 * Pu, load)], sigma=0.02 * A)
+    assert experiment.verdict is None
+    ends_s = recording.segments["half_relay"]
+    relay = (recording.t > recording.segments["relay"]) & (recording.t < ends_s)
+    lowest, highest = recording.output[relay].min(), recording.output[relay].max()
+    assert pytest.approx(160.0 / 3.0 if load > 0.0 else 100.0 / 3.0) == (highest if load > 0.0 else lowest)
+    moves = (highest - lowest) / AMPLITUDE - 2.0
+    assert pytest.approx(round(moves)) == moves >= 1.0
+    last = recording.pv[relay & (recording.t > ends_s - 2.0 * Pu)]
+    assert last.min() < PV0 < last.max()
+
+
+def test_a_drift_unseen_at_rest_that_carries_a_long_dead_time_off_is_followed():
+    """Beside a dead time half periods stay equal while the PV leaves: only a level that no longer returns it shows."""
+    plant = Fopdt(2.0, 1.0, 7.0)
+    Pu, A = oscillation(plant)
+    settings = ExperimentSettings(sample_time_s=Pu / 40.0, amplitude=AMPLITUDE)
+    drift = Drift(0.08 * A / Pu)
+    experiment, recording = conduct(plant, settings, offsets=[drift], sigma=0.04 * A)
+    assert experiment.verdict is None
+    assert "half_relay" in recording.segments
+
+
+def test_an_output_at_its_limit_follows_no_load_beyond_it():
+    plant = Fopdt(2.0, 10.0, 1.0)
+    Pu, A = oscillation(plant)
+    limits = Limits(output=(30.0, 60.0))
+    settings = ExperimentSettings(sample_time_s=Pu / 40.0, amplitude=AMPLITUDE, limits=limits)
+    experiment, recording = conduct(plant, settings, loads=[LoadStep(2.5 * Pu, 30.0)], sigma=0.02 * A)
+    assert experiment.verdict.code == "no_oscillation"
+    assert recording.output.min() >= 30.0

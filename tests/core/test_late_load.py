@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from autotuner.application.analysis.late_load import late_load
+from autotuner.application.analysis.parts_of_record import undisturbed
+from autotuner.core.identification import identify
 from autotuner.core.identification.held_out import wander_at_rest
 from autotuner.core.model.process import Fopdt
 from autotuner.core.recording import Recording
@@ -80,3 +82,17 @@ def test_only_the_rest_before_the_relay_counts():
     wandering = record.pv + np.where(record.t < 10.0, 0.3 * np.sin(record.t / 2.0), 0.0)
     assert wander_at_rest(Recording(record.t, record.output, wandering, settings=record.settings)) > 0.2
     assert wander_at_rest(Recording(record.t, record.output, wandering)) == 0.0
+
+
+@pytest.mark.parametrize("last", [{"return": 90.0}, {"staircase": 90.0}, {"staircase": 60.0, "return": 119.9}])
+def test_a_part_without_a_load_is_searched_where_a_check_was_cut_short(last):
+    """There is no tail then: the part after it judges the model, or the one before that where it is too short."""
+    t = np.arange(0.0, 120.0, DT)
+    output = np.where(t < 10.0, 40.0, 40.0 + 10.0 * (t // 8.0 % 2.0))
+    moves = np.flatnonzero(np.diff(output)) + 1
+    pv = 50.0 + sum((output[k] - output[k - 1]) * step_at(t, t[k] + D) for k in moves)
+    pv += 30.0 * step_at(t, 18.0) + np.random.default_rng(3).normal(0.0, NOISE, t.size)
+    record = Recording(t, output, pv, settings={"segments": {"relay": 10.0, "half_relay": 50.0, **last}})
+    found, error = undisturbed(record, "fopdt", identify(record, "fopdt"))
+    assert pytest.approx((K, T, D), rel=0.05) == (found.model.K, found.model.T, found.model.D)
+    assert error.held_out == pytest.approx(NOISE, rel=0.2)

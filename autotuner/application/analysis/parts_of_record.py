@@ -17,6 +17,8 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from autotuner.application.analysis.learned import learned_models
 from autotuner.core.design import margins
 from autotuner.core.design.pid_design import judged_process
@@ -38,6 +40,10 @@ CHECK_BEGINS = "half_relay"
 """The first part of the record that the model of the relay part is judged on."""
 NEVER_FITTED = "tail"
 """The part of the record that no model is fitted to."""
+LAST_PARTS = (NEVER_FITTED, "return", "staircase", CHECK_BEGINS)
+"""Parts that a model of an earlier stretch is judged on, the first that there is: a check cut short has no tail."""
+FEWEST_TO_JUDGE = 20
+"""Samples from which a part judges a model: the root mean square of their noise is known to 16 %, 1/sqrt(2 N)."""
 HALVES = ((0.5, 1.0), (0.0, 0.5))
 """Shares of the record up to the tail that are fitted before the stretches around them."""
 STRETCHES = ((0.0, 1.0), (1.0 / 3.0, 1.0), (0.0, 2.0 / 3.0), *HALVES, (0.25, 0.75))
@@ -68,7 +74,9 @@ def undisturbed(
     is_spent : callable, optional
         As in `identify`.
     """
-    begin, end = float(recording.t[0]), recording.segments[NEVER_FITTED]
+    begin, end = float(recording.t[0]), _last_part_begins(recording)
+    if end is None:
+        return None
     tail = recording.window(end, math.inf)
 
     @cache
@@ -96,6 +104,12 @@ def undisturbed(
             found = replace(found, limit_cycle=whole.limit_cycle or found.limit_cycle)
             return replace(found, warnings=(note, *found.warnings)), error
     return None
+
+
+def _last_part_begins(recording: Recording) -> float | None:
+    """Return when the part begins that models are judged on, s; None where none has enough samples."""
+    begins = (recording.segments[name] for name in LAST_PARTS if name in recording.segments)
+    return next((at_s for at_s in begins if np.count_nonzero(recording.t >= at_s) >= FEWEST_TO_JUDGE), None)
 
 
 def hold_on_parts(

@@ -246,7 +246,7 @@ def identified(
             until_s = segments[NEVER_FITTED]
     distrust = distrusted(recording, identification, until_s)
     analysis = _with_gains(identification, error, spec, distrust, recording.sample_interval_s, context)
-    if NEVER_FITTED in segments and (analysis.gains is None or isinstance(error and error.warning, Doubt)):
+    if analysis.gains is None or isinstance(error and error.warning, Doubt):
         if (excused := _before_a_load(analysis, recording, until_s)) is not None:
             return excused
         part = _undisturbed(recording, structure, identification, is_spent)

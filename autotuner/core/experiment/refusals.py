@@ -114,10 +114,10 @@ def buried(peak: float, noise_sigma: float, amplitude: float) -> Verdict:
     )
 
 
-def not_accurate(relative_error: float, settings: ExperimentSettings) -> Note:
-    """Report an oscillation that stayed irregular up to the most periods; gains allow for the errors of a model."""
+def not_accurate(relative_error: float, settings: ExperimentSettings, periods: int) -> Note:
+    """Report an oscillation that stayed irregular up to its end; gains allow for the errors of a model."""
     return Note(
-        f"period and amplitude are known to {100.0 * relative_error:.2g} % only after {settings.max_periods} periods, "
+        f"period and amplitude are known to {100.0 * relative_error:.2g} % only after {periods} periods, "
         f"{100.0 * settings.accuracy:g} % were requested: raise the relay amplitude or max_periods"
     )
 

@@ -207,6 +207,7 @@ ADVICE: dict[str, Callable[[Surroundings], None]] = {
     "pv_drifts": with_drift,
     "record_unexplained": after_the_load,
     "no_oscillation": inside_its_range,
+    "no_answer": stronger,
     "no_response": stronger,
     "oscillation_in_noise": stronger,
     "no_gains": stronger,

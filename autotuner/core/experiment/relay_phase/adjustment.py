@@ -68,6 +68,14 @@ def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tupl
     return replace(moved, reference=_moved_reference(moved, equilibrium, rest))
 
 
+def one_amplitude_further(relay: Relay, limits: tuple[float, float], *, is_high: bool) -> Relay:
+    """Return the relay with both levels moved by its amplitude, towards the one it is at, inside the limits."""
+    swing = relay.high - relay.low
+    moved = relay.low + (relay.amplitude if is_high else -relay.amplitude)
+    low = min(max(moved, limits[0]), limits[1] - swing)
+    return replace(relay, low=low, high=low + swing)
+
+
 def _moved_reference(relay: Relay, equilibrium: float, rest: tuple[float, float]) -> float:
     """Scale the distance of the reference from the resting PV, to move its equilibrium to the requested place."""
     rest_output, rest_pv = rest

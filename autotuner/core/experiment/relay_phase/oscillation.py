@@ -21,7 +21,13 @@ from autotuner.core.experiment import refusals
 from autotuner.core.experiment.phases import PhaseEvent
 from autotuner.core.experiment.relay import SwitchFilter
 from autotuner.core.experiment.relay_phase.action_check import ActionCheck
-from autotuner.core.experiment.relay_phase.adjustment import adapted, is_lopsided, recentred, strengthened
+from autotuner.core.experiment.relay_phase.adjustment import (
+    adapted,
+    is_lopsided,
+    one_amplitude_further,
+    recentred,
+    strengthened,
+)
 from autotuner.core.experiment.relay_phase.check import HalfRelay, Oscillated
 from autotuner.core.experiment.relay_phase.steady_state_detector import SteadyStateDetector
 from autotuner.core.experiment.step import RunningEstimate, Step
@@ -36,6 +42,9 @@ if TYPE_CHECKING:
 
 PATIENCE = 10.0
 """Longest half period allowed, as a multiple of the longest one so far."""
+CARRIED_OFF = 5.0
+"""Half period, as a multiple of the longest one so far, after which the levels follow a PV that a drift or a load has
+carried beyond them: half of `PATIENCE`, so that the answer to it can be waited for."""
 MAX_RECENTRES = 3
 """Most changes of the relay's centre: each costs about two periods."""
 MAX_ADAPTIONS = 8
@@ -66,6 +75,7 @@ class Oscillation:
         self._half_started_s = started_s
         self._action_check = ActionCheck(rested, started_s)
         self._recentres = self._adaptions = 0
+        self._was_carried_off = False
         self._model_error, self._expected_loss = math.inf, 0.0
         self._first_half_s = 0.0
         self.longest_half_s = rested.half_s
@@ -84,6 +94,8 @@ class Oscillation:
         if self.detector.cycles and known and not self._is_worth_more:
             return self._finish(sample.t, self.detector.cycles[-1:])
         verdict = self._strengthen(sample) if self._hangs(sample.t) else None
+        if self._is_carried_off(sample.t):
+            self._bring_back(sample)
         return Step(self.relay.level(is_high=is_high), verdict=verdict or self._no_oscillation(sample))
 
     @property
@@ -128,10 +140,16 @@ class Oscillation:
             return Step(self.relay.level(is_high=self._is_high), verdict=verdict)
         settled = settled_cycles(self.detector.cycles, settings)
         accurate = bool(settled) and relative_error(settled) <= settings.accuracy
-        if (not accurate or self._is_worth_more) and len(self.detector.cycles) < 2 * settings.max_periods:
+        if (not accurate or self._is_worth_more) and not self._is_enough(settled):
             return Step(self.relay.level(is_high=self._is_high), estimate=self._estimate(cycle))
-        warning = None if accurate else refusals.not_accurate(relative_error(settled), settings)
+        periods = len(self.detector.cycles) // 2
+        warning = None if accurate else refusals.not_accurate(relative_error(settled), settings, periods)
         return replace(self._finish(cycle.end_s, settled), warning=warning, estimate=self._estimate(cycle))
+
+    def _is_enough(self, settled: list[Cycle]) -> bool:
+        """Return whether the oscillation ends as it is: after the most periods, or before it is carried off again."""
+        most = 2 * self._rested.settings.max_periods
+        return len(self.detector.cycles) >= most or (self._was_carried_off and bool(settled))
 
     def _finish(self, t: float, settled: list[Cycle]) -> Step:
         """End the oscillation, unless noise causes it; continue with the check when it is requested."""
@@ -171,19 +189,37 @@ class Oscillation:
         return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits), pv)
 
     def _begin_again(self, cycle: Cycle, relay: Relay, pv: float) -> Step:
-        """Continue with another relay: observations of the previous one do not count for the limit cycle."""
+        """Continue with another relay from the end of a period."""
         estimate = self._estimate(cycle)
+        self._replace(relay, cycle.end_s, pv)
+        return Step(relay.level(is_high=self._is_high), estimate=estimate)
+
+    def _replace(self, relay: Relay, t: float, pv: float) -> None:
+        """Continue with another relay: observations of the previous one do not count for the limit cycle."""
         self._from_rest = False
         self._model_error, self._expected_loss = math.inf, 0.0
         self.detector = Detector()
-        self._change_to(relay, cycle.end_s, pv)
-        return Step(relay.level(is_high=self._is_high), estimate=estimate)
+        self._change_to(relay, t, pv)
 
     def _hangs(self, t: float) -> bool:
         """Return whether nothing oscillated yet, and a single switch, which noise can have made, is long past."""
         if not self._about_rest or self.longest_half_s:
             return False
         return t - self._half_started_s >= LONG_PAST * (self._half_started_s - self._moved_s)
+
+    def _is_carried_off(self, t: float) -> bool:
+        """Return whether a PV that oscillated stays on one side; along a line that is followed it has left that."""
+        is_long = t - self._half_started_s > CARRIED_OFF * self.longest_half_s > 0.0
+        return is_long and self._recentres < MAX_RECENTRES and self._rested.drift is None
+
+    def _bring_back(self, sample: Sample) -> None:
+        """Move both levels by an amplitude towards the one in force, not beyond the limits of the output."""
+        further = one_amplitude_further(self.relay, self._rested.settings.relay_limits, is_high=self._is_high)
+        if further == self.relay:
+            return
+        self._recentres += 1
+        self._was_carried_off, self._half_started_s = True, sample.t
+        self._replace(further, sample.t, sample.pv)
 
     def _strengthen(self, sample: Sample) -> Verdict | None:
         """Strengthen the relay where the PV settled short of the dead zone's edge, or has not responded in time.
