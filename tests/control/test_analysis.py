@@ -28,6 +28,7 @@ def test_a_model_that_explains_its_record_gets_gains(recording):
     analysis = analyse(recording)
     assert analysis.verdict.code == "identified"
     assert analysis.gains is not None
+    assert analysis.diagnosis.gains["before"]["gains"] == analysis.gains.gains.to_dict()
 
 
 @pytest.mark.parametrize(("held_out", "alone", "asks"), [(0.05, True, False), (0.5, True, True), (0.05, False, True)])

@@ -87,7 +87,7 @@ def analyse(
     if is_spent is not None and is_spent():
         annotated = replace(analysis.identification, warnings=(*analysis.identification.warnings, Note(NO_DIAGNOSIS)))
         return predicted(replace(analysis, identification=annotated), recording)
-    requested = _design_for(analysis.identification, spec, recording.sample_interval_s, context)
+    requested = _design_for(analysis, spec)
     try:
         diagnosis = diagnose(recording, requested=requested)
     except InputError:
@@ -132,9 +132,10 @@ def _hold(chosen: PidDesign, diagnosis: Diagnosis | None, sample_time_s: float) 
     return found is not None and found.Ms is not None and found.Ms <= AS_ROBUST * chosen.margins.Ms
 
 
-def _design_for(identification: Identification, spec: DesignSpec, sample_time_s: float, context: Context) -> Design:
+def _design_for(analysis: Analysis, spec: DesignSpec) -> Design:
     """Return the design of the tuning's gains, so that those of the diagnosis are comparable."""
-    basis = basis_of(identification, sample_time_s, device=context.device, output_span=context.output_span)
+    identification, context = analysis.identification, analysis.context
+    basis = basis_of(identification, analysis.sample_time_s, device=context.device, output_span=context.output_span)
 
     def chosen_for(spec: DesignSpec) -> Choose:
         def choose(model: ProcessModel, covariance: FloatArray | None) -> PidGains:
@@ -147,7 +148,7 @@ def _design_for(identification: Identification, spec: DesignSpec, sample_time_s:
 
     by_goal_alone = spec == DesignSpec(spec.goal) and spec.goal != CALMER
     calmer = Design(CALMER, chosen_for(replace(spec, goal=CALMER))) if by_goal_alone else None
-    return Design(spec.name, chosen_for(spec), calmer)
+    return Design(spec.name, chosen_for(spec), calmer, analysis.gains.gains if analysis.gains else None)
 
 
 def _reconsidered(analysis: Analysis, recording: Recording, spec: DesignSpec) -> Analysis:

@@ -15,6 +15,7 @@ Invariants: exact except for the controller's own sampling; an element between c
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -142,23 +143,27 @@ def predict(
 
 
 class _HeldProcess:
-    """A process at rest, moved from sample to sample by held inputs."""
+    """A process at rest, moved from sample to sample by held inputs.
+
+    One product moves it: the state after both pieces is `P2 P1 x + P2 g1 u[k-n-1] + g2 u[k-n]`.
+    """
 
     def __init__(self, model: ProcessModel, h: float) -> None:
-        A, B, self.C, self.E = _state_space(model)
+        A, B, C, E = _state_space(model)
         whole = math.floor(model.D / h)
         rest = model.D - whole * h
-        self.before, self.after = _held(A, B, rest), _held(A, B, h - rest)
-        self.x = np.zeros(B.size)
-        self.inputs = [0.0] * (whole + 2)
+        (P1, g1), (P2, g2) = _held(A, B, rest), _held(A, B, h - rest)
+        self.moves, self.reads = np.column_stack((P2 @ P1, P2 @ g1, g2)), np.concatenate((C, (0.0, E)))
+        self.state = np.zeros(B.size + 2)
+        self.inputs = deque([0.0] * (whole + 2), maxlen=whole + 2)
         self.pv = 0.0
 
     def advance(self, u: float) -> None:
         """Move one sample on, under the input `u` from now on."""
-        self.inputs = [*self.inputs[1:], u]
-        for (phi, gamma), held in zip((self.before, self.after), self.inputs[:2], strict=True):
-            self.x = phi @ self.x + gamma * held
-        self.pv = float(self.C @ self.x) + self.E * self.inputs[1]
+        self.inputs.append(u)
+        self.state[-2], self.state[-1] = self.inputs[0], self.inputs[1]
+        self.state[:-2] = self.moves @ self.state
+        self.pv = float(self.reads @ self.state)
 
 
 def _state_space(model: ProcessModel) -> tuple[FloatArray, FloatArray, FloatArray, float]:

@@ -52,11 +52,14 @@ class Design:
         Returns the gains for a process; may raise `InputError` and errors of arithmetic.
     calmer : Design or None
         What costs less where something sits in the loop; None where nothing else is to be reported.
+    before : PidGains or None
+        Gains that this design gave for the model without effects already, in a tuning; None: to be chosen.
     """
 
     name: str
     choose: Choose
     calmer: Design | None = None
+    before: PidGains | None = None
 
 
 def by_goal(goal: str, calmer: Design | None = None) -> Design:
@@ -146,7 +149,7 @@ def both_gains(
         load_step=size,
     )
     loop = _Loop(process, installed)
-    first = _gains(before, loop, requested)
+    first = _gains(before, loop, requested, requested.before)
     if process == before.model and not effects:
         return {"before": first, "after": first}
     view = controller_view(process, after.covariance, effects)
@@ -159,10 +162,10 @@ def both_gains(
     return compared if calm is None or _cost(calm) >= _cost(last) else {**compared, "calmer": calm}
 
 
-def _gains(known: Known, loop: _Loop, requested: Design) -> dict[str, object] | None:
-    """Return the gains of a design and their response; None without any."""
+def _gains(known: Known, loop: _Loop, requested: Design, own: PidGains | None = None) -> dict[str, object] | None:
+    """Return the gains of a design, which may be known as `own`, and their response; None without any."""
     try:
-        return loop.comparison(requested.name, requested.choose(known.model, known.covariance), known.model)
+        return loop.comparison(requested.name, own or requested.choose(known.model, known.covariance), known.model)
     except (AutotunerError, ValueError, ArithmeticError):
         return None
 
