@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotuner.core.design import PidGains
-from autotuner.core.design.simulation.pid import PidSettings, retuned, started, step
+from autotuner.core.design.simulation.pid import PidSettings, started, step
 
 
 def outputs_and_integrals(settings, pvs, set_points, h=1.0, output=0.0, from_rest=0.0):
@@ -102,16 +102,6 @@ def test_a_mirrored_loop_mirrors_its_output(pv, b, Ti):
     direct, _ = outputs_and_integrals(PidSettings(PidGains(-2.0, Ti, 0.5, 0.2, b)), [pv, -pv], [3.0, 3.0])
     np.testing.assert_allclose(down, -np.array(up), atol=1e-9)
     np.testing.assert_allclose(direct, -np.array(up), atol=1e-9)
-
-
-def test_new_gains_take_the_derivative_in_force_into_account():
-    """Slope 2: the derivative part is -Kp Td 2 = -3 before and -0.5 afterwards; the integral bears the difference."""
-    before, after = PidSettings(PidGains(1.0, 10.0, 1.5)), PidSettings(PidGains(0.5, 10.0, 0.5))
-    state = step(before, started(before, 0.0, 0.0, 0.0, 20.0), 1.0, 2.0, 0.0)
-    # -2 of the proportional part, -0.1 of the integral, -3 of the derivative.
-    assert state.output == pytest.approx(20.0 - 5.1)
-    moved = retuned(after, state)
-    assert moved.integral == pytest.approx(state.output + 0.5 * 2.0 + 0.5 * 0.5 * 2.0)
 
 
 def test_without_integral_action_there_is_nothing_to_unwind():

@@ -7,8 +7,8 @@ import pytest
 
 from autotuner.core.recording import Recording
 from autotuner.core.signals.limit_cycle import measure_limit_cycle, relay_switches
-from autotuner.core.signals.static_gain import gain_from_cycles, gain_from_step
-from autotuner_sim.plants import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped
+from autotuner.core.signals.static_gain import gain_from_cycles
+from autotuner_sim.plants import Fopdt, SopdtOverdamped, SopdtUnderdamped
 from autotuner_sim.relay import Relay
 
 PLANTS = [
@@ -114,19 +114,3 @@ def test_without_a_rest_there_is_no_gain_from_cycles(record_relay):
     record = record_relay(Fopdt(3.0, 10.0, 2.0), 0.02, low=-1.0, high=2.0, switches=11)
     cycle = measure_limit_cycle(record)
     assert gain_from_cycles(record.window(cycle.start_s + 0.001, cycle.end_s), cycle) is None
-
-
-def test_gain_from_a_settled_step(record):
-    record = record(Fopdt(2.5, 5.0, 1.0), 0.1, lambda k, _: 4.0 * (k > 50), 900, sigma=0.02, seed=1)
-    gain = gain_from_step(record)
-    assert pytest.approx(2.5, abs=4.0 * gain.standard_error) == gain.K
-    assert gain.standard_error < 0.01
-
-
-@pytest.mark.parametrize("plant", [Fopdt(2.5, 50.0, 1.0), Integrating(0.1, 0.0, 1.0)], ids=str)
-def test_a_step_that_has_not_settled_shows_no_gain(record, plant):
-    assert gain_from_step(record(plant, 0.1, lambda k, _: 4.0 * (k > 50), 600)) is None
-
-
-def test_a_constant_output_shows_no_gain(record):
-    assert gain_from_step(record(Fopdt(1.0, 1.0, 1.0), 0.1, lambda *_: 0.0, 100)) is None

@@ -21,7 +21,7 @@ after `started` gives the output it was started with (bumpless transfer), whatev
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from autotuner.errors import InputError
@@ -101,12 +101,6 @@ class PidState:
 def started(settings: PidSettings, t: float, pv: float, set_point: float, output: float) -> PidState:
     """Return the state of a controller that takes over at rest, with the present output."""
     return PidState(t, pv, set_point, pv, 0.0, output - _proportional(settings, set_point, pv), output)
-
-
-def retuned(settings: PidSettings, state: PidState) -> PidState:
-    """Return the state for new settings that leaves the output where it is."""
-    without = _proportional(settings, state.set_point, state.filtered) + _derivative(settings, state.damped)
-    return replace(state, integral=state.output - without)
 
 
 def step(settings: PidSettings, state: PidState, t: float, pv: float, set_point: float) -> PidState:
