@@ -32,7 +32,7 @@ def tuned(tmp_path_factory):
     """Return both results, and the folder of their recordings."""
     folder = tmp_path_factory.mktemp("cascade")
     with (folder / "out.json").open("w") as out, contextlib.redirect_stdout(out):
-        assert tune(folder, "--json", "--recording", str(folder / "tank.csv")) == 0
+        assert tune(folder, "--json", "--rule", "simc_pi", "--recording", str(folder / "tank.csv")) == 0
     return json.loads((folder / "out.json").read_text()), folder
 
 

@@ -77,7 +77,7 @@ def test_errors_of_a_loop_without_a_unit_are_written_without_one(capsys, tmp_pat
         'output0 = 40.0\npv0 = 80.0\nnoise = 0.05\nplant = { structure = "fopdt", K = 2.0, T = 10.0, D = 1.5 }\n',
         encoding="utf-8",
     )
-    code, out, _ = run(capsys, "tune", "--config", config, "--rule", "simc_pi")
+    code, out, _ = run(capsys, "tune", "--config", config, "--rule", "simc_pi", "--structure", "fopdt")
     assert code == 0
     assert re.search(r"[\d.]+ where not fitted +[\d.]+ where fitted +[\d.]+ of the noise", out)
 

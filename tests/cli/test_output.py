@@ -17,7 +17,7 @@ from autotuner.commands.terminal.progress import Progress
 from autotuner.commands.terminal.usage import Parser
 from autotuner.control.reporting.events import EstimateUpdated, ModelUpdated, PhaseChanged
 
-GAINS = f"""{sys.executable} -m autotuner gains --model '{{"K": 2, "T": 10, "D": 1.5}}'"""
+GAINS = f"""{sys.executable} -m autotuner gains --model '{{"K": 2, "T": 10, "D": 1.5}}' --rule simc_pi"""
 ROOT = Path(__file__).parents[2]
 
 

@@ -27,7 +27,7 @@ def test_the_demo_loop_is_tuned_beside_a_controller(capsys, tmp_path, monkeypatc
 
 def test_people_are_told_that_a_controller_ran(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["tune", "--online", "2", "--no-check"]) == 0
+    assert main(["tune", "--online", "2,8,0.6"]) == 0
     text = capsys.readouterr().out
     assert "in parallel with a controller" in text
     assert "Ku" not in text

@@ -31,7 +31,7 @@ def tuned(tmp_path, monkeypatch, capsys):
 
     def tune(side):
         csv = tmp_path / f"{side}.csv"
-        assert main(["tune", "--side", side, "--json", "--recording", str(csv)]) == 0
+        assert main(["tune", "--side", side, "--rule", "simc_pi", "--json", "--recording", str(csv)]) == 0
         text = capsys.readouterr().out
         (tmp_path / f"{side}.json").write_text(text)
         outputs = [float(line.split(",")[1]) for line in csv.read_text().splitlines()[1:]]

@@ -38,21 +38,21 @@ def backend(registers, **options):
     return create({"host": "plc", "port": 1502, "registers": registers} | options)
 
 
-def test_an_hour_of_our_client_and_our_slave_in_virtual_time(virtual, default_map):
+def test_ten_minutes_of_our_client_and_our_slave_in_virtual_time(virtual, default_map):
     async def main():
         seen = []
         async with serving_tcp(SimulatedPlc(device()), "plc", 1502):
             loop = backend(default_map)
             await loop.open()
             await loop.write({"output": 45.0})
-            for _ in range(3600):
+            for _ in range(600):
                 await asyncio.sleep(1.0)
                 seen.append((await loop.read(["pv", "output", "scans", "auto"]))["pv"])
             await loop.close()
         return seen, asyncio.get_running_loop().time()
 
     seen, took_s = virtual(main())
-    assert took_s == pytest.approx(3600.0, abs=2.0)
+    assert took_s == pytest.approx(600.0, abs=2.0)
     for k, pv in enumerate(seen[:60]):
         rise = 10.0 * (1.0 - math.exp(-max(k + 1.0 - 1.5, 0.0) / 10.0))
         # a tenth of resolution, and a scan of 0.05 s at a slope of at most 1 per s

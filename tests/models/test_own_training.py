@@ -79,7 +79,7 @@ async def test_a_tuning_through_the_service_uses_the_folder_of_the_configuration
         "loops": {"heater": HEATER},
     }
     async with serving(parse_configuration(values, "test")) as service:
-        started = await service.client.post("/v1/loops/heater/tunings", json={})
+        started = await service.client.post("/v1/loops/heater/tunings", json={"rule": "simc_pi"})
         await service.client.get(started.json()["links"]["events"])
         result = (await service.client.get(started.json()["links"]["self"])).json()
     used = registry.learned_models()

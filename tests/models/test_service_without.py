@@ -10,6 +10,7 @@ from autotuner.application.tuning_run import TuningRequest, TuningRun
 from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.reporting.events import ModelUpdated
+from autotuner.core.design import DesignSpec
 from tests.service.conftest import HEATER
 
 LOOP = HEATER | {"device": HEATER["device"] | {"seed": 3}}
@@ -30,7 +31,7 @@ def tuned(virtual):
     def tune():
         loop = parse_configuration({"loops": {"TIC-101": LOOP}}, "test").loop("TIC-101")
         backend = make_backend("simulated", loop.device, "loops.TIC-101")
-        tuning = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings()))
+        tuning = TuningRun("T1", "TIC-101", TuningRequest(loop.experiment_settings(), spec=DesignSpec(rule="simc_pi")))
         virtual(tuning.conduct(loop, backend, InPlace()))
         return tuning
 
@@ -52,7 +53,13 @@ def of_another_format(folder):
 
 @pytest.mark.parametrize(
     ("spoil", "said"),
-    [(tampered, "vouches for"), (missing, "cannot be read"), (of_another_format, "is of format 2")],
+    [
+        (tampered, "vouches for"),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in ((missing, "cannot be read"), (of_another_format, "is of format 2"))
+        ),
+    ],
 )
 def test_a_loop_is_tuned_without_it_and_the_result_says_why(spoil, said, small, tmp_path, monkeypatch, tuned):
     folder = shutil.copytree(small, tmp_path / "learned")

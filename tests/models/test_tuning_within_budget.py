@@ -6,6 +6,7 @@ import pytest
 
 import autotuner
 from autotuner.cli import main
+from autotuner.core.design import DesignSpec
 from autotuner.core.design.loop_margins import margins
 from autotuner.core.design.pid_design import judged_process
 from autotuner.core.model.process import model_from_dict
@@ -32,7 +33,16 @@ def tuned(plant, *, check=False, budget_ms=NO_TIME_MS, **how):
     return autotuner.run(simulated=device, sample_time_s=SAMPLE_TIME_S, relay=relay, budget_ms=budget_ms, **how)
 
 
-@pytest.mark.parametrize(("plant", "check"), OFF_THE_GRID.values(), ids=OFF_THE_GRID)
+USUAL = ("dead time small", "gain from the check", "two lags")
+
+
+@pytest.mark.parametrize(
+    ("plant", "check"),
+    [
+        pytest.param(*case, id=name, marks=[] if name in USUAL else [pytest.mark.long])
+        for name, case in OFF_THE_GRID.items()
+    ],
+)
 def test_early_gains_are_robust_on_the_true_process(plant, check):
     result = tuned(plant, check=check)
     assert result.done
@@ -56,7 +66,8 @@ def test_the_verdict_and_the_notes_say_what_they_are_and_what_to_do():
 
 def test_with_time_the_result_is_that_without_a_budget():
     plant = OFF_THE_GRID["dead time small"][0]
-    with_time, free = tuned(plant, budget_ms=PLENTY_MS), tuned(plant, budget_ms=None)
+    how = {"goal": DesignSpec(rule="simc_pi"), "structure": "fopdt"}
+    with_time, free = tuned(plant, budget_ms=PLENTY_MS, **how), tuned(plant, budget_ms=None, **how)
     assert with_time.identification.recommended == "least_squares"
     assert with_time.gains == free.gains
     assert with_time.to_dict()["notes"] == free.to_dict()["notes"]
