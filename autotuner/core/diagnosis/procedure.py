@@ -123,7 +123,8 @@ def diagnose(
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
         again = more.traced(*more.based())
-        if again[2].chosen.problem.effects and _is_as_good_later(again[0], again[2]) and _same_sign(base, again[1]):
+        better = _is_as_good_later(again[0], again[2]) and _left_in_all(again[2]) < _left_in_all(found)
+        if again[2].chosen.problem.effects and better and _same_sign(base, again[1]):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
@@ -290,6 +291,13 @@ def _same_sign(one: Base, other: Base) -> bool:
 def _is_off(context: FitContext, found: Trace) -> bool:
     """Return whether the explanation fails on the held-out part."""
     return context.held_out_error(found.chosen) > LATE * found.noise
+
+
+def _left_in_all(found: Trace) -> float:
+    """Return the error of the explanation on all samples that are measurements, PV."""
+    dataset = found.chosen.problem.dataset
+    rows = np.flatnonzero(dataset.fitted | dataset.held_out)
+    return rms(dataset.data.pv[rows] - found.chosen.simulated(rows))
 
 
 def _is_as_good_later(context: FitContext, found: Trace) -> bool:

@@ -114,7 +114,7 @@ def _bias_step(dataset: Dataset, moments: Sequence[float]) -> Effect:
         lambda p, c, _g: {"at_s": p[0] * span, "size": c[0]},
         columns=columns,
         price=math.log(2 * MOMENTS),
-        group="step",
+        group="jump",
         blur=lambda _p: {"at_s": 0.5 * interval},
     )
 

@@ -250,6 +250,6 @@ def _there_and_back(dataset: Dataset) -> Effect:
         form="there and back",
         columns=columns,
         price=math.log(20.0),
-        group="step",
+        group="jump",
         blur=lambda _p: {"at_s": 0.5 * interval, "lasts_s": interval},
     )

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.budget import Budget
+    from autotuner.core.model.arrays import IntArray
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
@@ -127,9 +128,18 @@ def refined(context: FitContext, candidate: Fitted) -> Fitted:
 
 def without(context: FitContext, candidate: Fitted, dropped: Effect) -> Fitted:
     """Return a candidate refitted without one of its effects."""
-    left = tuple(e for e in candidate.problem.effects if e is not dropped)
+    return _of(candidate, [e for e in candidate.problem.effects if e is not dropped], context.fine, FINE_STEPS)
+
+
+def alone_beside(context: FitContext, candidate: Fitted, kept: Effect) -> Fitted:
+    """Return the process of a candidate as it is with one of its effects: a start for others beside that."""
+    return _of(candidate, [kept], context.coarse, 0)
+
+
+def _of(candidate: Fitted, effects: Sequence[Effect], rows: IntArray, steps: int) -> Fitted:
+    """Return a candidate fitted with some of its effects only."""
     size = len(candidate.problem.structure.shape) + 1
     _, _, values = candidate.problem.split(candidate.theta)
-    parts = [np.array(v) for e, v in zip(candidate.problem.effects, values, strict=True) if e is not dropped]
+    parts = [np.array(v) for e, v in zip(candidate.problem.effects, values, strict=True) if e in effects]
     theta = np.concatenate([candidate.theta[:size], *parts])
-    return fit(replace(candidate.problem, effects=left, rows=context.fine), theta, FINE_STEPS)
+    return fit(replace(candidate.problem, effects=tuple(effects), rows=rows), theta, steps)

@@ -19,7 +19,6 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_eve
 from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
@@ -42,6 +41,7 @@ from autotuner.core.diagnosis.search.judge import (
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import (
+    alone_beside,
     at_the_input,
     best_on_both_parts,
     better_of,
@@ -83,12 +83,12 @@ TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
 """Delays of a move that are tried, relative to the longest, and the most steps of the optimiser after it."""
 SECOND_LAG = 0.3
 """Initial guess of the second lag, relative to the first."""
+EXCHANGED = 3
+"""Pairs whose effects are searched again, each beside the other."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
-POOLED = 3
-"""Single effects of a place that are extended together: each further effect takes the best of all."""
 TRIED, TRIED_ELSEWHERE = 4, 8
 """Number of explanations of which the best accepted one is used: on a tuning's record by the criterion, elsewhere,
 with few independent samples, by both parts of the record."""
@@ -143,6 +143,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
         if not found:
             break
+        found = closest_first([*found, *_exchanged(context, found, effects)])
         pool += found
         context.dataset.budget.report(_how_far(context, found[0]))
         following, accepted = _following(context, base, best, found)
@@ -206,16 +207,28 @@ def _carried(
 ) -> list[list[Fitted]]:
     """Return the explanations that are extended next, in groups that compete for every further effect.
 
-    Elsewhere than in an experiment, one effect in a free form follows two others closely, and hides both: single
-    effects of every place are extended beside it.
+    Elsewhere than in an experiment, one effect in a free form follows two others closely, and hides both: the closest
+    other ones are extended beside it.
     """
     if context.dataset.tuned:
         return [[c] for c in _distinct(found)[:BEAM]]
     single = _distinct(closest_first(c for of in sketches for c in of if len(c.names) == 1 and is_physical(c)))
-    places = [[c for c in single if c.problem.effects[0].place is place and c.names != best.names] for place in Place]
-    others = [c for of in places for c in of[:POOLED]]
+    others = [c for c in single if c.names != best.names][:BEAM]
     groups = [[best]] if best.problem.effects or not others else []
     return [*groups, others] if others else groups
+
+
+def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+    """Return pairs with either effect of the closest ones searched again, from the process that the two leave.
+
+    A free load beside the right effect follows the other one, and shows the process; a first effect that was accepted
+    alone may stand in for another, which is found beside the second only.
+    """
+    if context.dataset.tuned or any(is_noise(context, c) for c in found):
+        return []
+    pairs = [c for c in _distinct(found) if len(c.names) == PAIR][:EXCHANGED]
+    kept = [(c, e) for c in pairs for e in c.problem.effects if e.reads_as is None]
+    return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
 
 
 def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
