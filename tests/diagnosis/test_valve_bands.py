@@ -8,10 +8,12 @@ import pytest
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.friction import backlash, stiction
 from autotuner.core.diagnosis.effects.disturbance import _drifts
+from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.extended.base import base_of
+from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
-from autotuner.core.diagnosis.search.friction_search import with_friction_in_drift
+from autotuner.core.diagnosis.search.friction_search import with_friction_beside_a_load
 from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of, positions
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.model.zoh_input import HeldInput
@@ -102,8 +104,8 @@ def one_slip():
 def test_a_valve_that_slips_once_is_found_beside_the_drift_that_the_controller_fights():
     context = bench_of(dataset_of(one_slip()))
     base = base_of(context, ("offset", "state"), 0)
-    plain = _drifts(context.dataset)[:1]
-    found = min(with_friction_in_drift(context, base, plain), key=context.on_both_parts)
+    loads = (*_drifts(context.dataset)[:1], *free_forms(context.dataset)[:1])
+    found = min(with_friction_beside_a_load(context, base, loads), key=context.on_both_parts)
     assert found.names == ("stiction", "drift")
     assert context.held_out_error(found) < 1.2 * 0.01 < 0.1 * context.held_out_error(base.best)
     band, drift = found.sizes()
@@ -111,7 +113,26 @@ def test_a_valve_that_slips_once_is_found_beside_the_drift_that_the_controller_f
     assert drift["pv_per_s"] == pytest.approx(-0.0012, rel=0.02)
 
 
-def test_a_loop_that_cycles_needs_no_drift():
-    context = bench_of(dataset_of(sticking_loop(1.6, 0.6)))
+def play_under_a_wave(width=3.0):
+    """A lag under PI control whose set point is switched: a valve with play, and a slow wave of the load."""
+    rng = np.random.default_rng(5)
+    x = integral = position = 0.0
+    u, y = [], []
+    for k in range(400):
+        y.append(x + 0.02 * rng.standard_normal())
+        off = 3.0 * (k // 50 % 2) - y[-1]
+        integral += 0.06 * off
+        u.append(integral + 0.4 * off)
+        position = min(max(position, u[-1] - width / 2.0), u[-1] + width / 2.0)
+        for _ in range(FINE):
+            x += (1.5 * (position + 2.0 * math.sin(2.0 * math.pi * k / 300.0)) - x) / 12.0 / FINE
+    return Recording(np.arange(400.0), 30.0 + np.array(u), 50.0 + np.array(y))
+
+
+def test_play_in_a_loop_is_found_beside_a_load_of_any_shape():
+    context = bench_of(dataset_of(play_under_a_wave()))
     base = base_of(context, ("offset", "state"), 0)
-    assert not with_friction_in_drift(context, base, _drifts(context.dataset))
+    found = closest_first(with_friction_beside_a_load(context, base, free_forms(context.dataset)[:2]))[0]
+    assert found.names == ("backlash", "ambient")
+    assert found.rms < 1.1 * 0.02 < 0.2 * base.best.rms
+    assert found.sizes()[0]["width"] == pytest.approx(3.0, rel=0.03)

@@ -32,6 +32,7 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
 from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.effects.waves import lines_of_all, wave_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import (
     Extended,
     Fitted,
@@ -43,7 +44,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
 )
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import best_on_both_parts, extend, refined, within
+from autotuner.core.diagnosis.search.search import alone_beside, best_on_both_parts, extend, refined, within
 from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 
@@ -76,10 +77,8 @@ NEARER = 0.9
 """Error over that of the process alone up to which bands are followed."""
 WAVE_STEPS = 5
 """Most steps of the optimiser from each period of a wave."""
-FEW_WAITS = 2
-"""Waits of the PV up to which a drift is tried beside bands: a loop that cycles shows its bands without one."""
-SLOW_LOADS = {"drift", "ambient"}
-"""Names of loads that a controller fights while the valve waits."""
+OF_DISTURBANCES = (Place.DISTURBANCE, Place.SENSOR)
+"""Places of effects that are tried beside bands in place of a free load."""
 SECOND_LAG = 0.3
 """Second lag to start from, over the first."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
@@ -89,8 +88,7 @@ error after over before, on both parts, under which it is an explanation."""
 
 def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return processes with each kind of friction, fitted on all samples; none where no valve of a loop may stick."""
-    seen = waiting_of(context.dataset)
-    if not (context.dataset.in_loop or seen.sticks) or seen.follows or context.dataset.budget.spent:
+    if not _may_stick(context):
         return []
     turning = [e for e in effects if e.group == "friction" and e.form == TURNING]
     found = [_turning(context, base, effect) for effect in within(context.dataset.budget, turning)]
@@ -98,19 +96,25 @@ def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) ->
     return [f for f in found if is_physical(f) and _is_shown(context, base.best, f)]
 
 
-def with_friction_in_drift(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the same beside a drift, where the PV waits once or twice: meanwhile it shows the load alone.
+def with_friction_beside_a_load(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the same with a disturbance, found beside a load of free shape: neither is visible without the other.
 
-    A drifting load is also why the integral action moves the output on. Without it, a slow process follows the drift
-    instead, and no band predicts the slip.
+    A load is also why the integral action moves the output on. Without it, a slow process follows the load instead, and
+    no band predicts the slip.
     """
-    seen = waiting_of(context.dataset)
-    if not seen.sticks or len(seen.travels) > FEW_WAITS or context.dataset.budget.spent:
+    free = next((e for e in effects if e.reads_as is not None), None)
+    if free is None or not _may_stick(context):
         return []
-    background = base.best.problem.background
-    found = _with_bands(context, base, (*background, "drift"), narrow=False)
-    alone = [fit(replace(f.problem, background=background), f.theta, 0) for f in found]
-    return extend(context, alone, [e for e in effects if e.name in SLOW_LOADS and not e.measured]) if alone else []
+    found = _with_bands(context, base, base.best.problem.background, free)
+    alone = [alone_beside(context, f, f.problem.effects[0]) for f in found]
+    loads = [e for e in effects if e.place in OF_DISTURBANCES and not e.measured]
+    return extend(context, alone, loads) if alone else []
+
+
+def _may_stick(context: FitContext) -> bool:
+    """Return whether friction is searched with a process of its own: in a loop whose PV does not follow every move."""
+    seen = waiting_of(context.dataset)
+    return (context.dataset.in_loop or seen.sticks) and not seen.follows and not context.dataset.budget.spent
 
 
 def _is_shown(context: FitContext, alone: Fitted, candidate: Fitted) -> bool:
@@ -138,22 +142,29 @@ def _processes(problem: Extended) -> list[FloatArray]:
     return [np.array([math.log(T * interval), D * interval / problem.unit_s]) for T, D in product(LAGS, DELAYS)]
 
 
-def _with_bands(context: FitContext, base: Base, background: tuple[str, ...], *, narrow: bool = True) -> list[Fitted]:
-    """Return processes with a valve that sticks or has play: the closest with wide bands, and with narrow ones."""
-    dataset = context.dataset
-    bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, background)
+def _with_bands(
+    context: FitContext, base: Base, background: tuple[str, ...], load: Effect | None = None
+) -> list[Fitted]:
+    """Return processes with a valve that sticks or has play: the closest with wide bands, and with narrow ones.
+
+    With a load beside it only where they are wide.
+    """
+    dataset, beside = context.dataset, () if load is None else (load,)
+    bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, background, beside)
     alone = [o for o in (base.best, base.origins[0]) if o.problem.structure in (FOPDT, SECOND_ORDER)]
     processes = [(FOPDT, theta) for theta in _processes(base.best.problem)]
     processes += [(o.problem.structure, o.theta) for o in {id(o): o for o in alone}.values()]
     squares = np.stack([bands.squares(*process) for process in processes])
+    loaded = (fit(replace(o.problem, effects=beside, rows=context.coarse), o.theta, FEW_STEPS) for o in base.origins)
+    most = NEARER * (base.best if load is None else closest_first(loaded)[0]).rms
     found = []
     wide, plays = bands.bands > SMALLEST_IN_LOOP, bands.left == 1.0
-    for lane in (wide & ~plays, *((~wide,) if narrow else ()), plays):
+    for lane in (wide & ~plays, *((~wide,) if load is None else ()), plays):
         starts = [
-            _started(context, *processes[n], bands, m, background)
+            _started(context, *processes[n], bands, m)
             for n, m in _apart(bands, np.where(lane & (bands.bands >= SMALLEST), squares, np.inf))
         ]
-        coarse = [_in_detail(context, c) for c in within(dataset.budget, starts) if c.rms < NEARER * base.best.rms]
+        coarse = [_in_detail(context, c) for c in within(dataset.budget, starts) if c.rms < most]
         found += [_as_good_elsewhere(context, refined(context, c)) for c in closest_first(coarse)[:1]]
     return found
 
@@ -173,13 +184,11 @@ def _apart(bands: Bands, squares: FloatArray) -> list[tuple[int, int]]:
     return [(int(np.argmin(squares[:, m])), m) for m in kept]
 
 
-def _started(
-    context: FitContext, structure: Structure, theta: FloatArray, bands: Bands, m: int, background: tuple[str, ...]
-) -> Fitted:
+def _started(context: FitContext, structure: Structure, theta: FloatArray, bands: Bands, m: int) -> Fitted:
     """Return a process of the grid with one of the bands, fitted."""
     S, f = float(bands.bands[m]), float(bands.left[m])
     effect, numbers = (play(context.dataset), [2.0 * S]) if f == 1.0 else (sticking(context.dataset), [S, f])
-    problem = Extended(context.dataset, structure, (effect,), context.coarse, background)
+    problem = Extended(context.dataset, structure, (effect, *bands.beside), context.coarse, bands.background)
     return fit(problem, np.array([*theta, *numbers]), STEPS)
 
 
@@ -210,7 +219,8 @@ def _around(
     is_play = numbers.size == 1
     S, f = (numbers[0] / 2.0, 1.0) if is_play else numbers
     near = np.ones(1) if is_play else np.unique(np.clip(f + left, 0.0, LARGEST_LEFT))
-    bands = Bands(problem.dataset, *bands_of(S * (1.0 + f) * (1.0 + travels), near), rows, problem.background)
+    some = bands_of(S * (1.0 + f) * (1.0 + travels), near)
+    bands = Bands(problem.dataset, *some, rows, problem.background, problem.effects[1:])
     sample = context.dataset.data.interval_s / problem.unit_s
     others = [np.array([*process[:at], max(process[at] + by * sample, 0.0)]) for by in later]
     squares = np.stack([bands.squares(problem.structure, other) for other in others])

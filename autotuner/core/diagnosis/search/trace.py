@@ -25,7 +25,7 @@ from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
 from autotuner.core.diagnosis.search.friction_search import (
     that_stick,
     with_friction,
-    with_friction_in_drift,
+    with_friction_beside_a_load,
     with_process_friction,
     with_wave,
 )
@@ -174,10 +174,11 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
     """Return effects that are searched with a process of their own, and whether one of them leaves only noise."""
-    friction = with_friction(context, base, effects)
-    if any(is_noise(context, candidate) for candidate in friction):
-        return friction, True
-    friction += with_friction_in_drift(context, base, effects)
+    friction: list[Fitted] = []
+    for search in (with_friction, with_friction_beside_a_load):
+        friction += search(context, base, effects)
+        if any(is_noise(context, candidate) for candidate in friction):
+            return friction, True
     others = [*with_process_friction(context, base.best), *with_less_dead_time(context, base, effects)]
     return [*friction, *others, *with_positions(context, base)], False
 

@@ -23,6 +23,7 @@ from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import ComplexArray, FloatArray, IntArray
     from autotuner.core.model.structures import Structure
@@ -51,6 +52,8 @@ class Bands:
         Samples that are compared.
     background : tuple of str
         What the PV does besides.
+    beside : tuple of Effect
+        Loads beside the valve, all of whose numbers are sizes.
     """
 
     dataset: Dataset
@@ -58,11 +61,12 @@ class Bands:
     left: FloatArray
     rows: IntArray
     background: tuple[str, ...]
+    beside: tuple[Effect, ...] = ()
 
     def squares(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """Return the squares that are left with each position if the process may move along its tangent, shape (M,)."""
         pulses = self._pulses(structure, theta)
-        alone = Extended(self.dataset, structure, (), self.rows, self.background)
+        alone = Extended(self.dataset, structure, self.beside, self.rows, self.background)
         basis = scipy.linalg.orth(alone.columns(theta, self.rows)[0][:, structure.gains :])
         pv = self.dataset.data.pv[self.rows]
         target = pv - basis @ (basis.T @ pv)
