@@ -123,8 +123,10 @@ def diagnose(
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
         again = more.traced(*more.based())
+        # What follows the fitted part does not reverse the process.
+        one_sign = float(base.best.linear[0]) * float(again[1].best.linear[0]) > 0.0
         better = _is_as_good_later(again[0], again[2]) and _left_in_all(again[2]) < _left_in_all(found)
-        if again[2].chosen.problem.effects and better and _same_sign(base, again[1]):
+        if again[2].chosen.problem.effects and better and one_sign:
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
@@ -189,7 +191,10 @@ class _Record:
             return self, first
         ways = ("", AT_REST_FIRST, *((COLD,) if self.used.output[0] else ()))
         based = {way: replace(self, begins=way).based() if way else first for way in ways}
-        known = {way: (context, _with_columns(context, base)) for way, (context, base) in based.items()}
+        known = {
+            way: (context, with_known(context, base.best, catalogue(base.best, context.coarse)).best)
+            for way, (context, base) in based.items()
+        }
         inflated = min(context.colour(fitted) for context, fitted in known.values())
         free_bench, free = known[""]
         simpler = [
@@ -205,7 +210,7 @@ class _Record:
         """Return the samples, the process alone on all of them, the search, and the spikes."""
         none = np.zeros(self.used.t.size, dtype=np.bool_)
         if self._of_the_sensor(context, first):
-            return context, first, Trace(_alone(first), first.best, (), noise_of(context, first.best)), none
+            return context, first, Trace(first.held or first.best, first.best, (), noise_of(context, first.best)), none
         spikes = _spikes(context, first.best) & ~self.stands
         context, base = self.based(spikes) if spikes.any() else (context, first)
         found = trace(context, base, self.model)
@@ -274,25 +279,6 @@ def _at_moves(context: FitContext, candidate: Fitted, rows: BoolArray) -> bool:
     return bool(np.mean(since < CORNER * dataset.data.interval_s) > 0.5)
 
 
-def _alone(base: Base) -> Fitted:
-    return base.best if base.held is None else base.held
-
-
-def _with_columns(context: FitContext, base: Base) -> Fitted:
-    """Return the process with the further columns that help."""
-    return with_known(context, base.best, catalogue(base.best, context.coarse)).best
-
-
-def _same_sign(one: Base, other: Base) -> bool:
-    """Return whether the gain of the process alone has one sign: what follows the fitted part does not reverse it."""
-    return float(one.best.linear[0]) * float(other.best.linear[0]) > 0.0
-
-
-def _is_off(context: FitContext, found: Trace) -> bool:
-    """Return whether the explanation fails on the held-out part."""
-    return context.held_out_error(found.chosen) > LATE * found.noise
-
-
 def _left_in_all(found: Trace) -> float:
     """Return the error of the explanation on all samples that are measurements, PV."""
     dataset = found.chosen.problem.dataset
@@ -313,7 +299,7 @@ def _share_that_decides(context: FitContext, found: Trace) -> float:
     the squared misfit has come, it decides; the rest judges.
     """
     near = [c for c in (*found.pool, found.chosen) if c.rms < VISIBLE * found.noise]
-    if not near or not _is_off(context, found):
+    if not near or context.held_out_error(found.chosen) <= LATE * found.noise:
         return 0.0
     came = np.cumsum(context.held_out_residual(context.best(near)) ** 2)
     t = context.dataset.data.t[context.held_out]

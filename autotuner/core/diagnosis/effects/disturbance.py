@@ -56,7 +56,12 @@ def disturbance_effects(
         *((_bias_step(dataset, jumps),) if jumps else ()),
         *_drifts(dataset),
         *periodic_disturbances(dataset, residuals),
-        *(e for name, values in dataset.extra.items() if _usable(values) for e in _measured(dataset, name)),
+        *(
+            e
+            for name, values in dataset.extra.items()
+            if np.isfinite(values).all() and np.ptp(values) > 0.0
+            for e in _measured(dataset, name)
+        ),
     )
 
 
@@ -179,10 +184,6 @@ def behind_a_lag(t: FloatArray, values: FloatArray, lag_s: float) -> FloatArray:
     late = lag_s * np.diff(d) / h
     added = d[1:] - late - (d[:-1] - late) * kept
     return accumulate(np.concatenate(([0.0], kept)), np.concatenate(([0.0], added)))
-
-
-def _usable(values: FloatArray) -> bool:
-    return bool(np.isfinite(values).all() and np.ptp(values) > 0.0)
 
 
 def _measured(dataset: Dataset, name: str) -> tuple[Effect, ...]:

@@ -127,7 +127,7 @@ def reported(
     notes = [
         *in_words(missing),
         *([TIME_SPENT] if cut else ()),
-        *_of_blindness(blind),
+        *([f"this record is blind to {'; '.join(spot.words for spot in blind)}"] if blind else []),
         *_notes(context, found, sensor, effects, error, model),
         *calmer_note(gains),
         *([*doubts, HYPOTHESES] if effects and not kept else ()),
@@ -301,10 +301,6 @@ def _runner_up(context: FitContext, found: Trace, effects: tuple[FoundEffect, ..
         "fitted": nearest.rms,
         "held_out": context.held_out_error(nearest),
     }
-
-
-def _of_blindness(blind: Sequence[Spot]) -> tuple[str, ...]:
-    return (f"this record is blind to {'; '.join(spot.words for spot in blind)}",) if blind else ()
 
 
 def _notes(

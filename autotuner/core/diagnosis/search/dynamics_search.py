@@ -31,16 +31,12 @@ KEPT = (0.7, 0.3)
 
 def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return the process with each effect that makes an answer late, fitted on all samples, where that is closer."""
-    pair = next((o for o in base.origins if _is_free_pair(o)), None)
+    pair = next((o for o in base.origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
     if pair is None:
         return []
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
     found = [_from_less(context, pair, effect) for effect in within(context.dataset.budget, late)]
     return [f for f in found if is_physical(f) and f.rms < pair.rms]
-
-
-def _is_free_pair(origin: Fitted) -> bool:
-    return origin.problem.structure is SECOND_ORDER and origin.problem.fixed is None
 
 
 def _from_less(context: FitContext, pair: Fitted, effect: Effect) -> Fitted:

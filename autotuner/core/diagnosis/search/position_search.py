@@ -25,7 +25,7 @@ from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, c
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, refined, within
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.extended_model import Fitted
@@ -56,18 +56,11 @@ def with_positions(context: FitContext, base: Base) -> list[Fitted]:
     if not context.dataset.in_loop:
         return []
     origins = list({id(o): o for o in (base.best, *base.origins[:1])}.values())
-    found = [
-        _in_detail(candidate, around)
-        for beside, around in ((_with_updates, _times_around), (_with_steps, _steps_around))
-        for candidate in _nearest(
-            base, (c for o in within(context.dataset.budget, origins) for c in beside(context, o))
-        )
-    ]
+    found = []
+    for beside, around in ((_with_updates, _times_around), (_with_steps, _steps_around)):
+        nearest = closest_first(c for o in within(context.dataset.budget, origins) for c in beside(context, o))
+        found += [_in_detail(c, around) for c in nearest[:FOLLOWED] if c.rms < NEARER * base.best.rms]
     return [c for c in (refined(context, f) for f in found) if is_physical(c)]
-
-
-def _nearest(base: Base, found: Iterable[Fitted]) -> list[Fitted]:
-    return [c for c in closest_first(found)[:FOLLOWED] if c.rms < NEARER * base.best.rms]
 
 
 def _with_updates(context: FitContext, origin: Fitted) -> list[Fitted]:

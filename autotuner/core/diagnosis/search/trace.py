@@ -166,7 +166,8 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, chosen)
-    pool += [] if late else _in_place_of_flow(context, base, chosen)
+    # Moves that are late by times of their own: where no further move separates the two, both are reported.
+    pool += with_own_times(context, base, PAIR) if FLOW in chosen.names and not late else []
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
@@ -181,11 +182,6 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
             return friction, True
     others = [*with_process_friction(context, base.best), *with_less_dead_time(context, base, effects)]
     return [*friction, *others, *with_positions(context, base)], False
-
-
-def _in_place_of_flow(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:
-    """Return moves that are late by times of their own: where no further move separates the two, both are reported."""
-    return with_own_times(context, base, PAIR) if FLOW in chosen.names else []
 
 
 def _how_far(context: FitContext, best: Fitted) -> str:
@@ -447,14 +443,10 @@ def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
             continue
         if effect.name in SLIPS and that_stick(context, [simpler, best]):
             continue
-        needed = is_supported(evidence, first=False, seen_held_out=_shows(effect))
+        needed = is_supported(evidence, first=False, seen_held_out=not effect.unseen_after)
         needed = needed and weighs_enough(context, base.best, simpler, best)
         # One effect alone has to be accepted, too: two may only hold together.
         alone = len(simpler.problem.effects) > 1 or is_accepted(context, base, base.best, simpler)
         if alone and not needed:
             return dropped_back(context, base, simpler)
     return best
-
-
-def _shows(effect: Effect) -> bool:
-    return not effect.unseen_after

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
-    from autotuner.core.model.step_responses import Motion
 
     Curve = Callable[[FloatArray], FloatArray]
 
@@ -45,16 +44,12 @@ SMALLEST = 1e-9
 
 def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     """Return the loss in each form; of a process that rings, a spring takes the place of the free one."""
-    rings = isinstance(motion := _motion_of(base), Pair) and motion.n**2 < RINGS * motion.m
+    motion = base.problem.structure.motion(base.problem.split(base.theta)[0], dataset.span_s)
+    rings = isinstance(motion, Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
     last = () if rings else (_cubic(dataset, base, last=True),)
     return (*(_loss(dataset, form, power) for form, power in FORMS.items()), free, *last)
-
-
-def _motion_of(base: Fitted) -> Motion:
-    shape, _, _ = base.problem.split(base.theta)
-    return base.problem.structure.motion(shape, base.problem.dataset.span_s)
 
 
 def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
@@ -62,7 +57,7 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
 
     With `last` it is that of the last of two stores in a row alone.
     """
-    half = _half_range(dataset, base)
+    half = float(np.ptp(dataset.data.pv[dataset.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)  # output units
     slow = (Searched("slow_last", 0.0, 1.0, 0.0),) if last else ()
     of_last = [(which, b, a) for which in (0.0, 1.0) for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))]
 
@@ -81,11 +76,6 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
         price=3.0 if last else 2.0,
         group="loss",
     )
-
-
-def _half_range(dataset: Dataset, base: Fitted) -> float:
-    """Return half the range of the PV over the gain, output units."""
-    return float(np.ptp(dataset.data.pv[dataset.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)
 
 
 def _cubic_law(a: float, b: float) -> tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
