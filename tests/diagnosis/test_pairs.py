@@ -1,0 +1,54 @@
+"""Two effects in one record: either one is searched again beside the other. The records are the simulator's."""
+
+import numpy as np
+import pytest
+
+from autotuner import Recording
+from autotuner.core.diagnosis.effects.actuator.saturation import saturations
+from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
+from autotuner.core.diagnosis.effects.free_forms import free_forms
+from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.search.search import extend
+from autotuner.core.diagnosis.search.trace import _exchanged
+from autotuner_sim import BiasStep, Drift, LoadStep, Saturation
+from tests.diagnosis.simulated import LAG, at_the_truth, moves, of_form, record
+
+SIGMA = 0.05
+
+
+def noisy(**physics):
+    plain = record(LAG, moves(600, 20), **physics)
+    return Recording(plain.t, plain.output, plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600))
+
+
+def loads_of(dataset):
+    return disturbance_effects(dataset, [dataset.data.pv], [])
+
+
+def test_a_free_load_beside_a_limit_is_exchanged_for_the_drift_that_it_follows():
+    recording = noisy(actuators=[Saturation(0.0, 43.0)], offsets=[Drift(0.01)])
+    context = bench_of(dataset_of(recording))
+    limit, free = of_form(saturations(context.dataset), "saturation:high"), free_forms(context.dataset)[0]
+    start = at_the_truth(recording, LAG, (limit, [3.0 / context.dataset.swing]), (free, []), dataset=context.dataset)
+    pair = fit(start.problem, start.theta, 5)
+    drift = of_form(loads_of(context.dataset), "drift")
+    found = _exchanged(context, [pair], [drift])[0]
+    assert found.names == ("saturation", "drift")
+    assert found.rms < 1.1 * SIGMA
+    assert context.held_out_error(found) < 1.2 * SIGMA < 0.5 * context.held_out_error(pair)
+    assert found.sizes()[0]["high"] == pytest.approx(43.0, abs=0.1)
+    assert found.sizes()[1]["pv_per_s"] == pytest.approx(0.01, rel=0.02)
+
+
+def test_a_load_is_found_beside_a_jump_of_the_reading():
+    recording = noisy(loads=[LoadStep(150.0, 3.0)], offsets=[BiasStep(310.0, 2.0)])
+    context = bench_of(dataset_of(recording))
+    jump, load = (of_form(loads_of(context.dataset), name) for name in ("bias_step", "load_step"))
+    at = at_the_truth(recording, LAG, (jump, [310.0 / context.dataset.span_s]), dataset=context.dataset)
+    found = extend(context, [at], [load])[0]
+    assert found.names == ("load_step", "bias_step")
+    assert found.rms < 1.1 * SIGMA
+    assert found.sizes()[0] == pytest.approx({"at_s": 150.0, "size": 3.0}, rel=0.03)
+    assert found.sizes()[1] == pytest.approx({"at_s": 310.0, "size": 2.0}, rel=0.03)
