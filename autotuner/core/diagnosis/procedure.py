@@ -123,10 +123,7 @@ def diagnose(
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
         again = more.traced(*more.based())
-        # What follows the fitted part does not reverse the process.
-        one_sign = float(base.best.linear[0]) * float(again[1].best.linear[0]) > 0.0
-        better = _is_as_good_later(again[0], again[2]) and _left_in_all(again[2]) < _left_in_all(found)
-        if again[2].chosen.problem.effects and better and one_sign:
+        if _replaces(base, found, again):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
@@ -286,9 +283,16 @@ def _left_in_all(found: Trace) -> float:
     return rms(dataset.data.pv[rows] - found.chosen.simulated(rows))
 
 
-def _is_as_good_later(context: FitContext, found: Trace) -> bool:
-    """Return whether the explanation is as good on the held-out part as on the other, or leaves noise there."""
-    return context.held_out_error(found.chosen) <= LATE * max(found.noise, found.chosen.rms)
+def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
+    """Return whether effects that were fitted to more of the record explain all of it better, with the same sign.
+
+    On the held-out part they have to be as good as on the other, or leave noise there.
+    """
+    context, other, later, _ = again
+    one_sign = float(base.best.linear[0]) * float(other.best.linear[0]) > 0.0
+    as_good = context.held_out_error(later.chosen) <= LATE * max(later.noise, later.chosen.rms)
+    better = one_sign and as_good and _left_in_all(later) < _left_in_all(found)
+    return bool(later.chosen.problem.effects) and better
 
 
 def _share_that_decides(context: FitContext, found: Trace) -> float:
