@@ -9,6 +9,7 @@ import asyncio
 import asyncio.runners
 import contextlib
 import gc
+import hashlib
 import logging
 import multiprocessing
 import multiprocessing.connection
@@ -29,14 +30,18 @@ from autotuner.linear_algebra_threads import use_one_thread
 
 use_one_thread()  # before anything imports numpy
 
+from autotuner.application.analysis import procedure  # noqa: E402
 from autotuner.application.analysis.learned import ARTEFACTS  # noqa: E402
 from autotuner.application.computing.compute_pool import InPlace  # noqa: E402
 from autotuner.core.design import design_procedure  # noqa: E402
+from autotuner.errors import InputError  # noqa: E402
 
 hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("house")
 
 SHARED = Path(__file__).parents[1].parent / "shared"
+COMPUTED = "AUTOTUNER_TESTS_COMPUTED"
+"""Variable of the environment with the folder of what `computed_once` has computed."""
 BEFORE, STATUS = pytest.StashKey(), pytest.StashKey()
 SIGNALS = sorted(
     signal.valid_signals() & {getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP", "SIGPIPE", "SIGCHLD")}
@@ -63,6 +68,7 @@ def pytest_configure(config):
     folder = tempfile.TemporaryDirectory(prefix="autotuner-tests-")
     config.add_cleanup(folder.cleanup)
     os.environ["XDG_STATE_HOME"] = folder.name
+    os.environ.setdefault(COMPUTED, folder.name)  # that of the first process, which the workers of a run inherit
 
 
 def pytest_asyncio_loop_factories(config, item):
@@ -79,31 +85,56 @@ def state(monkeypatch, tmp_path_factory):
 
 @pytest.fixture(autouse=True, scope="session")
 def computed_once():
-    """Compute each result of a pure computation once a session, and give each caller a copy, as a worker does.
+    """Compute each result of a pure computation once a run of all workers, and give each caller a copy.
 
     The search for gains too, where a specification asks for it: reports, choices and restarts ask for the same gains.
     The tests of the search itself call it past this.
     """
-    results, run, tune = {}, InPlace.run, design_procedure.tune
+    folder, run, tune = Path(os.environ[COMPUTED]), InPlace.run, design_procedure.tune
 
     async def run_once(self, function, /, *args, **kwargs):
         if function.__module__ != "autotuner.application.computing.computations":
             return await run(self, function, *args, **kwargs)
-        key = pickle.dumps((function.__qualname__, args, kwargs, os.environ.get(ARTEFACTS)))
-        if key not in results:
-            results[key] = pickle.dumps(await run(self, function, *args, **kwargs))
-        return pickle.loads(results[key])  # noqa: S301 - its own pickle
+        diagnosed = procedure.diagnose.__qualname__  # another one, where a test leaves it out
+        file = _result_of(folder, function.__qualname__, args, kwargs, os.environ.get(ARTEFACTS), diagnosed)
+        return _read(file) if file.exists() else _kept(file, await run(self, function, *args, **kwargs))
 
     def tune_once(*args, **kwargs):
-        key = pickle.dumps(("tune", args, kwargs))
-        if key not in results:
-            results[key] = pickle.dumps(tune(*args, **kwargs))
-        return pickle.loads(results[key])  # noqa: S301 - its own pickle
+        file = _result_of(folder, "tune", args, kwargs)
+        return _read(file) if file.exists() else _kept(file, tune(*args, **kwargs))
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(InPlace, "run", run_once)
         patched.setattr(design_procedure, "tune", tune_once)
         yield
+
+
+@pytest.fixture
+def without_diagnosis(monkeypatch):
+    """Leave out the diagnosis of a tuning's record, half the time of an analysis, where a test judges the tuning."""
+
+    def no_diagnosis(*_args, **_kwargs):
+        raise InputError("is left out by this test", field="recording", remedy="None.")
+
+    monkeypatch.setattr(procedure, "diagnose", no_diagnosis)
+
+
+def _result_of(folder, *question):
+    """Return the file of a computation's result."""
+    return folder / hashlib.sha256(pickle.dumps(question)).hexdigest()
+
+
+def _read(file):
+    return pickle.loads(file.read_bytes())  # noqa: S301 - its own pickle
+
+
+def _kept(file, result):
+    """Return a copy of a result, written in one go: another worker may compute the same. A test may fill the disk."""
+    begun, copy = file.with_suffix(f".{os.getpid()}"), pickle.dumps(result)
+    with contextlib.suppress(OSError):
+        begun.write_bytes(copy)
+        begun.replace(file)
+    return pickle.loads(copy)  # noqa: S301 - its own pickle
 
 
 @pytest.fixture

@@ -10,6 +10,8 @@ from autotuner.control.devices.confirmed_read import read_surely
 from autotuner.core.verdict import aborted
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 AT = 150
 """Reading that is damaged, in the relay phase."""
 

@@ -7,6 +7,8 @@ import pytest
 
 from benchmarks.safety import faults
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 RUNS = 2
 
 

@@ -10,6 +10,8 @@ from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import AUTO, MANUAL_OUTPUT, OUTPUT, PV, SET_POINT
 from tests.control.conftest import Rig
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 GAINS = {"kp": 1.0, "ti": 20.0, "td": 0.0}
 
 

@@ -18,6 +18,8 @@ from autotuner.control.reporting.events import (
 from autotuner.control.reporting.link_log import AGAIN_S, GOOD_S, KINDS, Troubles
 from autotuner.errors import LinkError
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 NAN = float("nan")
 
 

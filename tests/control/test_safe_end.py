@@ -11,6 +11,8 @@ from autotuner.core.verdict import aborted
 from autotuner.errors import DeviceRefusedError, LinkError
 from autotuner.ports import AUTO, OUTPUT, PV
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 LINK_DOWN = LinkError("the line is dead", remedy="Plug it in.")
 
 

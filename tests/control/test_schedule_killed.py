@@ -21,7 +21,10 @@ from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from tests.control.conftest import loop_table
 from tests.control.killed import Device, killed
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own")
+pytestmark = [
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is killed in a process of its own"),
+    pytest.mark.usefixtures("without_diagnosis"),
+]
 
 POINTS = (70.0, 90.0)
 

@@ -13,6 +13,8 @@ from autotuner.control.clock.timestamped_call import timed
 from autotuner.core.identification import identify
 from autotuner.ports import OUTPUT
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 TRIP_S = (0.02, 0.4)
 """Shortest and longest time of one exchange, there and back."""
 PATIENCE_S = 0.6

@@ -18,6 +18,8 @@ from autotuner.errors import DeviceTimeoutError
 from autotuner.ports import AUTO, OUTPUT, PV, SET_POINT
 from tests.control.conftest import Faulty, loop_table, nothing
 
+pytestmark = pytest.mark.usefixtures("without_diagnosis")
+
 OLD = {"kp": 1.0, "ti": 20.0, "td": 0.0}
 SILENT = DeviceTimeoutError("the device did not answer", remedy="Check the link.")
 

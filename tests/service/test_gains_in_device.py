@@ -12,7 +12,7 @@ from autotuner.ports import SET_POINT
 from autotuner.service.schemas.resources import VerificationResult
 from tests.service.conftest import HEATER
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.usefixtures("without_diagnosis")]
 
 OLD = {"kp": 1.0, "ti": 20.0, "td": 0.0}
 QUICK = {"check": False, "structure": "fopdt"}

@@ -14,7 +14,7 @@ from autotuner_sim.effects import Noise
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.usefixtures("without_diagnosis")]
 
 OLD = Gains(0.7, 13.3, 0.1)
 FLOATS = {name: {"table": "holding", "address": at, "type": "float32"} for name, at in

@@ -57,12 +57,12 @@ async def test_columns_are_chosen_by_title_or_number(serving, step_test):
     content = text_of((t, output, -pv, pv), header)
     async with serving() as service:
         titled = await service.client.post(
-            f"{PATH}?t_column=when&output_column=valve&pv_column=level", content=content, headers=CSV
+            f"{PATH}?structure=fopdt&t_column=when&output_column=valve&pv_column=level", content=content, headers=CSV
         )
         numbered = await service.client.post(
-            f"{PATH}?t_column=1&output_column=2&pv_column=4", content=content, headers=CSV
+            f"{PATH}?structure=fopdt&t_column=1&output_column=2&pv_column=4", content=content, headers=CSV
         )
-        plain = await service.client.post(PATH, content=text_of(step_test), headers=CSV)
+        plain = await service.client.post(f"{PATH}?structure=fopdt", content=text_of(step_test), headers=CSV)
     assert titled.status_code == 200, titled.text
     assert titled.json() == numbered.json() == plain.json()
 
@@ -71,7 +71,7 @@ async def test_a_repair_is_told(serving, step_test):
     lines = text_of(step_test).splitlines()
     lines[20] = lines[20].rpartition(",")[0] + ","
     async with serving() as service:
-        answer = await service.client.post(PATH, content="\ufeff" + "\n".join(lines), headers=CSV)
+        answer = await service.client.post(f"{PATH}?structure=fopdt", content="\ufeff" + "\n".join(lines), headers=CSV)
     assert answer.json()["notes"] == ["recording: 1 rows without a usable output or PV were left out"]
 
 
@@ -171,7 +171,7 @@ class SlowUploads(InPlace):
             self.counts.append(len(self.active))
             await asyncio.sleep(3600.0)
             self.active.pop()
-        return function(*args, **kwargs)
+        return await super().run(function, *args, **kwargs)
 
 
 async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step_test):
@@ -197,7 +197,9 @@ async def test_a_part_of_the_record_can_be_chosen_and_the_moments_declared(servi
     t, output, pv = step_test
     content = text_of((t, output, np.where(t > 50.0, 0.0, pv)))
     async with serving() as service:
-        part = await service.client.post(f"{PATH}?start_s=1&end_s=50&moments=between", content=content, headers=CSV)
+        part = await service.client.post(
+            f"{PATH}?structure=fopdt&start_s=1&end_s=50&moments=between", content=content, headers=CSV
+        )
         nothing = await service.client.post(f"{PATH}?start_s=500", content=content, headers=CSV)
         unknown = await service.client.post(f"{PATH}?moments=sometimes", content=content, headers=CSV)
     told = part.json()
@@ -222,7 +224,7 @@ async def test_a_measured_disturbance_is_told_apart(serving, step_test, check_pr
     answer = 1.0 - np.exp(-np.clip(t - 22.0, 0.0, None) / 10.0) - (1.0 - np.exp(-np.clip(t - 42.0, 0.0, None) / 10.0))
     content = text_of((t, output, pv + 1.5 * answer, load), "t,u,y,load")
     async with serving() as service:
-        told = await service.client.post(f"{PATH}?disturbance=load", content=content, headers=CSV)
+        told = await service.client.post(f"{PATH}?structure=fopdt&disturbance=load", content=content, headers=CSV)
         absent = await service.client.post(f"{PATH}?disturbance=wind", content=content, headers=CSV)
     (one,) = told.json()["disturbances"]
     assert (one["name"], one["gain"], one["D"]) == ("load", pytest.approx(0.5, rel=0.01), pytest.approx(2.0, abs=0.1))

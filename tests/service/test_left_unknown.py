@@ -12,7 +12,7 @@ from autotuner_sim.devices.plc import SimulatedPlc, serving_tcp
 from autotuner_sim.plants import Fopdt
 from autotuner_sim.stepped import SteppedPlant
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.usefixtures("without_diagnosis")]
 
 LOOP = {
     "driver": "modbus",
@@ -126,7 +126,8 @@ async def test_a_result_that_was_had_stays_one(serving, configure, device, line_
     configuration = configure({"TIC": LOOP})
     async with serving(configuration) as service, line_to(device):
         backend = service.manager._backends["TIC"]
-        tuning = (await service.client.post("/v1/loops/TIC/tunings")).json()["id"]
+        asked = {"structure": "fopdt", "rule": "simc_pi"}
+        tuning = (await service.client.post("/v1/loops/TIC/tunings", json=asked)).json()["id"]
         writing = backend.write
 
         async def write(values):

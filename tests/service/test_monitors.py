@@ -8,10 +8,10 @@ import pytest
 
 from tests.service.conftest import HEATER
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.usefixtures("without_diagnosis")]
 
 WINDOW_S = 240.0
-QUICK = {"check": False, "structure": "fopdt"}
+QUICK = {"check": False, "structure": "fopdt", "rule": "simc_pi"}
 GAINS = {"form": "ideal"}
 DEVICE = HEATER["device"] | {"auto": True, "gains": {"kp": 1.4, "ti": 8.0, "td": 0.0}}
 

@@ -8,9 +8,10 @@ from autotuner.errors import StorageError
 from autotuner.ports import AUTO, OUTPUT, SET_POINT
 from tests.service.conftest import HEATER
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.usefixtures("without_diagnosis")]
 
 POINTS = [70.0, 90.0]
+ASKED = {"set_points": POINTS, "check": False, "structure": "fopdt", "rule": "simc_pi"}
 
 
 @pytest.fixture
@@ -22,7 +23,7 @@ def loops():
 
 
 async def started(client, **body):
-    answer = await client.post("/v1/loops/heater/schedules", json={"set_points": POINTS, "check": False} | body)
+    answer = await client.post("/v1/loops/heater/schedules", json=ASKED | body)
     assert answer.status_code == 202, answer.text
     return answer.headers["location"]
 

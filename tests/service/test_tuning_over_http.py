@@ -50,7 +50,7 @@ async def test_a_loop_is_tuned_beside_its_controller(serving):
     """The settings that arrive are those asked for, and the process found is the same as without a controller."""
     async with serving() as service:
         online = {"Kp": 0.5, "Ti": 10.0}
-        started = await service.client.post(LOOP, json={"online": online})
+        started = await service.client.post(LOOP, json={"online": online, "rule": "simc_pi"})
         assert started.json()["settings"]["online"].items() >= online.items()
         await service.client.get(started.json()["links"]["events"])
         result = (await service.client.get("/v1/tunings/tuning-1")).json()
@@ -63,7 +63,7 @@ async def tune_the_furnace(serving):
     """Return everything that an hour of tuning tells."""
     async with serving() as service:
         begun = asyncio.get_running_loop().time()
-        await service.client.post("/v1/loops/furnace/tunings")
+        await service.client.post("/v1/loops/furnace/tunings", json={"structure": "fopdt", "rule": "simc_pi"})
         events = await service.client.get("/v1/tunings/tuning-1/events")
         result = (await service.client.get("/v1/tunings/tuning-1")).json()
         recording = await service.client.get("/v1/tunings/tuning-1/recording")
