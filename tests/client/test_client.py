@@ -20,6 +20,7 @@ def of(serving):
     return make
 
 
+@pytest.mark.usefixtures("without_diagnosis")
 @pytest.mark.virtual_time
 async def test_a_tuning_from_start_to_gains(serving, of):
     async with serving() as service, of(service) as client:

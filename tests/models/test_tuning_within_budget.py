@@ -64,6 +64,7 @@ def test_the_verdict_and_the_notes_say_what_they_are_and_what_to_do():
     assert all(error > 0.0 for error in errors.values())
 
 
+@pytest.mark.usefixtures("without_diagnosis")
 def test_with_time_the_result_is_that_without_a_budget():
     plant = OFF_THE_GRID["dead time small"][0]
     how = {"goal": DesignSpec(rule="simc_pi"), "structure": "fopdt"}

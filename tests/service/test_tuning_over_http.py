@@ -6,7 +6,7 @@ import pytest
 
 from autotuner.core.recording import Recording
 
-pytestmark = pytest.mark.virtual_time
+pytestmark = [pytest.mark.virtual_time, pytest.mark.usefixtures("without_diagnosis")]
 
 LOOP = "/v1/loops/heater/tunings"
 
