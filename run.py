@@ -65,6 +65,8 @@ CHECKS = {
     "import contracts": ["-c", "from importlinter.cli import lint_imports_command as check; check()"],
 }
 
+UNUSED = ("-p", "no:schemathesis")
+"""A plugin that takes half a second to import in each process, and that no test on the wall clock uses."""
 RUNS = {
     "side by side": [
         "-m",
@@ -73,8 +75,14 @@ RUNS = {
         "--dist=loadfile",
         "--no-loadscope-reorder",
     ],
-    "on the wall clock": ["-m", "not long and realtime and not alone", "--numprocesses=4", "--dist=loadfile"],
-    "alone on the machine": ["-m", "not long and realtime and alone"],
+    "on the wall clock": [
+        "-m",
+        "not long and realtime and not alone",
+        "--numprocesses=4",
+        "--dist=loadfile",
+        *UNUSED,
+    ],
+    "alone on the machine": ["-m", "not long and realtime and alone", *UNUSED],
     "that take minutes": ["-m", "long", "--numprocesses=auto", "--dist=load"],
 }
 """The tests by runs. Most that are on the wall clock wait for processes; those that measure it run alone."""

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import httpx
@@ -15,6 +16,8 @@ from autotuner.ports import AUTO, OUTPUT
 from autotuner.service.app import create_app
 from autotuner.service.schemas.resources import Problem
 
+DOCUMENT = Path(__file__).parents[2] / "docs" / "openapi.json"
+"""The API document as committed, which a test keeps equal to the one that the service makes."""
 HEATER = {
     "driver": "simulated",
     "sample_time_s": 0.1,

@@ -18,8 +18,12 @@ from autotuner.service.app import ROUTERS
 from autotuner.service.openapi import document
 from autotuner.service.schemas import resources, views
 from autotuner.service.schemas.requests import GainsSpec, TuningStart
+from tests.service.conftest import DOCUMENT
 
-OPERATIONS = [result.ok() for result in schemathesis.openapi.from_dict(json.loads(document())).get_all_operations()]
+OPERATIONS = [
+    result.ok()
+    for result in schemathesis.openapi.from_dict(json.loads(DOCUMENT.read_text(encoding="utf-8"))).get_all_operations()
+]
 CHECKS = [
     checks.not_a_server_error,
     *checks.CHECKS.get_by_names(
@@ -38,9 +42,8 @@ EXAMPLES, EXAMPLES_OF_COMPUTATIONS = 8, 2
 COMPUTED = ("/report", "/choices")
 
 
-def test_the_committed_document_has_not_drifted(request):
-    committed = request.config.rootpath / "docs" / "openapi.json"
-    assert committed.read_text(encoding="utf-8") == document(), (
+def test_the_committed_document_has_not_drifted():
+    assert DOCUMENT.read_text(encoding="utf-8") == document(), (
         "run: python -m autotuner.service.openapi > docs/openapi.json"
     )
 

@@ -206,12 +206,12 @@ def bomb():
         (b'{"autotuner_tuning": 1}', "is no exported tuning"),
         (b"t,u,y\n0,1,2\n", "is no exported tuning"),
         (gzip.compress(b"0" * 10**6), "is compressed"),
-        (bomb(), "is compressed"),
+        (bomb, "is compressed"),
     ],
 )
 def test_rubbish_is_refused(tmp_path, content, says):
     path = tmp_path / "rubbish"
-    path.write_bytes(content)
+    path.write_bytes(content() if callable(content) else content)
     with pytest.raises(RecordingError, match=says):
         read_export(path)
 
