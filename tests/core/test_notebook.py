@@ -19,6 +19,7 @@ for cell in notebook.cells:
 
 
 @pytest.mark.realtime
+@pytest.mark.long  # what it calls and shows: test_run_in_program.py
 def test_the_notebook_of_the_examples_runs(pytestconfig, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", EXECUTE, str(pytestconfig.rootpath / "examples" / "your_plant.ipynb")],

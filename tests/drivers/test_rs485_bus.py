@@ -143,6 +143,7 @@ REGISTERS = """{ pv = { table = "input", address = 0, type = "int16", scale = 0.
 output = { table = "holding", address = 0, type = "int16", scale = 0.1 }, auto = { table = "coil", address = 0 } }"""
 
 
+@pytest.mark.long  # tests/drivers/test_shared_tunings.py tunes several loops of one line in virtual time
 async def test_a_service_tunes_two_loops_of_one_line_at_once(bus, tmp_path):
     device = f'transport = "rtu", serial_port = "{bus}", baudrate = 9600, parity = "E", timeout_s = 0.3'
     config = tmp_path / "loops.toml"

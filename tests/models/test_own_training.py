@@ -91,6 +91,7 @@ async def test_a_tuning_through_the_service_uses_the_folder_of_the_configuration
 
 
 @pytest.mark.realtime
+@pytest.mark.long  # the tuning through the service and the refusal at the start have tests of their own here
 def test_a_service_process_uses_the_folder_and_refuses_it_once_a_file_was_tampered_with(folders, start, tmp_path):
     folder = shutil.copytree(folders("tree"), tmp_path / "own")
     config = f'[learned]\nartefacts = "{folder}"\n{FAST}'
