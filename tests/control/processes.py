@@ -23,6 +23,8 @@ PATIENCE_S = 300.0
 
 A computation of 5 s takes 100 s where other programs use the processors as well.
 """
+POLL_S = 0.02
+"""Time between two looks at another process: half the requests that a service takes from one client, 100/s."""
 ANSWER_S = 60.0
 """Longest wait for an answer of the PLC, the longest there is: who is stopped meanwhile shall find others waiting."""
 REGISTERS = """pv = {{ table = "input", address = 0, type = "int16", scale = 0.1 }}
@@ -86,7 +88,7 @@ def until(condition):
     deadline = time.monotonic() + PATIENCE_S  # noqa: TID251 - other processes live on the wall clock
     while not (seen := condition()):
         assert time.monotonic() < deadline, "it did not happen"  # noqa: TID251
-        time.sleep(0.005)  # noqa: TID251
+        time.sleep(POLL_S)  # noqa: TID251
     return seen
 
 
