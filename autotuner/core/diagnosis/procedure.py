@@ -284,15 +284,16 @@ def _left_in_all(found: Trace) -> float:
 
 
 def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
-    """Return whether effects that were fitted to more of the record explain all of it better, with the same sign.
-
-    On the held-out part they have to be as good as on the other, or leave noise there.
-    """
+    """Return whether effects that were fitted to more of the record explain all of it better, with the same sign."""
     context, other, later, _ = again
     one_sign = float(base.best.linear[0]) * float(other.best.linear[0]) > 0.0
-    as_good = context.held_out_error(later.chosen) <= LATE * max(later.noise, later.chosen.rms)
-    better = one_sign and as_good and _left_in_all(later) < _left_in_all(found)
+    better = one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
     return bool(later.chosen.problem.effects) and better
+
+
+def _is_as_good_later(context: FitContext, found: Trace) -> bool:
+    """Return whether the explanation is as good on the held-out part as on the other, or leaves noise there."""
+    return context.held_out_error(found.chosen) <= LATE * max(found.noise, found.chosen.rms)
 
 
 def _share_that_decides(context: FitContext, found: Trace) -> float:
