@@ -35,7 +35,6 @@ from autotuner.application.analysis.learned import ARTEFACTS  # noqa: E402
 from autotuner.application.computing.compute_pool import InPlace  # noqa: E402
 from autotuner.core.design import design_procedure  # noqa: E402
 from autotuner.errors import InputError  # noqa: E402
-from tests.control.template import TEMPLATE, Template  # noqa: E402
 
 hypothesis.settings.register_profile("house", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("house")
@@ -70,12 +69,6 @@ def pytest_configure(config):
     config.add_cleanup(folder.cleanup)
     os.environ["XDG_STATE_HOME"] = folder.name
     os.environ.setdefault(COMPUTED, folder.name)  # that of the first process, which the workers of a run inherit
-    gc.disable()  # imports and tests that are collected stay: nothing of them is garbage
-
-
-def pytest_collection_finish(session):
-    """Collect garbage from now on."""
-    gc.enable()
 
 
 def pytest_asyncio_loop_factories(config, item):
@@ -114,16 +107,6 @@ def computed_once():
         patched.setattr(InPlace, "run", run_once)
         patched.setattr(design_procedure, "tune", tune_once)
         yield
-
-
-@pytest.fixture(scope="session")
-def template():
-    """The program of which commands are forked, see `tests.control.template`."""
-    one = Template()
-    TEMPLATE.append(one)
-    yield
-    TEMPLATE.remove(one)
-    one.close()
 
 
 @pytest.fixture

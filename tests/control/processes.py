@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from functools import partial
@@ -15,7 +16,6 @@ from types import SimpleNamespace
 from pyModbusTCP.client import ModbusClient
 
 from autotuner.control.records.journal import Journal
-from tests.control.template import Forked
 
 REST = 40.0
 PATIENCE_S = 300.0
@@ -46,7 +46,7 @@ data_directory = "{folder}/data"
 [loops.TIC-101]
 driver = "modbus"
 own_process = true
-sample_time_s = 0.1
+sample_time_s = 0.02
 limits = {{ output = [0.0, 100.0], pv = [-100.0, 300.0] }}
 relay = {{ amplitude = 10.0, quiet_s = 0.5, {relay} }}
 safety = {{ max_lateness_s = {patience_s}, pv_timeout_s = {patience_s} }}
@@ -68,19 +68,13 @@ scan_s = 0.05
 
 
 def spawn(stack, *words, **keys):
-    """Start `autotuner ...` from the template; it is killed at the end of the test if it still lives."""
-    process = Forked(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **keys)
+    """Start `autotuner ...`; it is killed at the end of the test if it still lives."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "autotuner", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **keys
+    )
     stack.callback(process.communicate)
     stack.callback(process.kill)
     return process
-
-
-def ran(*words, **keys):
-    """Run `autotuner ...` from the template to its end; return exit code, standard output and standard error."""
-    with contextlib.ExitStack() as stack:
-        process = spawn(stack, *words, **keys)
-        out, err = process.communicate(timeout=PATIENCE_S)
-        return process.returncode, out, err
 
 
 def until(condition):
@@ -98,7 +92,7 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
     Its own controller is part of the configuration where it has gains.
     """
     mode = ["--auto"] if auto else []
-    words = ["--plant", "K=2", "T=4", "D=0.8", "--output0", str(REST), "--gains", *(gains or ["0", "0", "0"])]
+    words = ["--plant", "K=2", "T=1", "D=0.2", "--output0", str(REST), "--gains", *(gains or ["0", "0", "0"])]
     plc = spawn(stack, "plc", "--port", "0", *words, *mode)
     port = json.loads(plc.stdout.readline())["port"]
     client = ModbusClient(host="127.0.0.1", port=port, auto_open=True, timeout=ANSWER_S)

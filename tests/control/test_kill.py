@@ -21,7 +21,7 @@ pytestmark = [
 
 
 @pytest.fixture
-def plant(template, tmp_path):
+def plant(tmp_path):
     """A simulated PLC in a process of its own, and an independent client that looks at it."""
     with ExitStack() as stack:
         yield lambda **keys: plc_with_plant(stack, tmp_path, **keys)

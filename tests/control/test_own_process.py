@@ -20,7 +20,7 @@ pytestmark = [
 
 
 @pytest.fixture
-def scene(template, tmp_path):
+def scene(tmp_path):
     """A PLC with a plant, a service that tunes its loop, and a client that looks at the PLC."""
 
     def start(stack, relay):
@@ -31,7 +31,7 @@ def scene(template, tmp_path):
         return SimpleNamespace(
             service=service,
             client=client,
-            tuning=client.post("/v1/loops/TIC-101/tunings", json={"structure": "fopdt"}).json()["id"],
+            tuning=client.post("/v1/loops/TIC-101/tunings").json()["id"],
             output=plc.output,
             journal=plc.journal,
             again=lambda: spawn(stack, "serve", "--json", "--config", plc.config),
@@ -55,7 +55,7 @@ def ended(scene):
 
 
 def test_a_loop_is_tuned(scene):
-    scene = scene(relay="min_periods = 3, max_periods = 4, check = false")
+    scene = scene(relay="min_periods = 3, check = false")
     told = until(lambda: ended(scene))
     assert told["verdict"]["outcome"] == "done"
     assert told["model"]["K"] == pytest.approx(2.0, rel=0.1)

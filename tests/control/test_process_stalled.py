@@ -124,7 +124,7 @@ def test_the_larger_part_counts():
 
 @pytest.mark.realtime
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="nothing is paused by a signal here")
-def test_a_loop_process_that_was_stopped_by_a_signal(template, tmp_path):
+def test_a_loop_process_that_was_stopped_by_a_signal(tmp_path):
     """The PLC's own output is looked at, and held while nobody drives it."""
     with ExitStack() as stack:
         plc = plc_with_plant(stack, tmp_path)

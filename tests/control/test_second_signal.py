@@ -120,7 +120,7 @@ def real(test):
 
 
 @pytest.fixture
-def plc(template, tmp_path):
+def plc(tmp_path):
     with ExitStack() as stack:
         yield plc_with_plant(stack, tmp_path)
 
@@ -179,10 +179,10 @@ APPLY = ("apply", "TIC-101", "--gains", "1.5,4,0.6")
 
 
 @pytest.fixture
-def controller(template, tmp_path):
+def controller(tmp_path):
     """A PLC with a controller of its own, behind a line that keeps its second gain back."""
     with ExitStack() as stack:
-        relay = "min_periods = 2, max_periods = 4, check = false"
+        relay = "min_periods = 3, accuracy = 0.05, check = false"
         one = plc_with_plant(stack, tmp_path, relay=relay, gains=["0.3", "2", "0"])
         one.line = Line(one.port, lambda address, _words: address == TI)
         stack.callback(one.line.close)
@@ -217,7 +217,7 @@ def test_an_apply_whose_device_dies_half_way_ends_at_the_second_signal(controlle
 def test_a_verification_whose_device_dies_in_its_step_ends_at_the_second_signal(controller):
     with ExitStack() as stack:
         controller.line.mend()
-        words = ("--structure", "fopdt", "--rule", "simc_pi", "--verify", "--json")
+        words = ("--structure", "fopdt", "--verify", "--json")
         command = spawn(stack, "tune", "TIC-101", "--config", controller.config, *words)
         until(lambda: controller.auto() and abs(controller.set_point() - 2.0 * REST) > 1.0)
         gone(controller)

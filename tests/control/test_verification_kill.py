@@ -22,11 +22,11 @@ pytestmark = [
 AT_REST = 2.0 * REST
 SET_POINT = 1
 """Its register."""
-QUICK = "min_periods = 2, max_periods = 4, check = false"
+QUICK = "min_periods = 3, accuracy = 0.05, check = false"
 
 
 @pytest.fixture
-def plc(template, tmp_path):
+def plc(tmp_path):
     """A simulated PLC with a controller of its own, in manual, behind a line; an independent client looks at it."""
     with ExitStack() as stack:
         one = plc_with_plant(stack, tmp_path, relay=QUICK, gains=["0.3", "2", "0"])
@@ -59,7 +59,7 @@ def verifying(stack, plc):
     """Start a service that verifies gains; return it in the middle of the step, with the tuning as it is told then."""
     service = spawn(stack, "serve", "--json", "--config", plc.config)
     url = json.loads(service.stdout.readline())["listening"]
-    asked = {"verify": True, "structure": "fopdt", "rule": "simc_pi"}
+    asked = {"verify": True, "structure": "fopdt"}
     tuning = httpx.post(f"{url}/v1/loops/TIC-101/tunings", json=asked, timeout=PATIENCE_S).json()
     in_the_step(plc)
     return service, httpx.get(f"{url}{tuning['links']['self']}", timeout=PATIENCE_S).json()
@@ -105,7 +105,7 @@ def test_where_everything_is_killed_the_next_start_has_it_back(plc):
 
 def test_a_killed_command_has_everything_back_and_the_next_one_tells(plc):
     with ExitStack() as stack:
-        tuner = spawn(stack, "tune", "--config", plc.config, "--structure", "fopdt", "--rule", "simc_pi", "--verify")
+        tuner = spawn(stack, "tune", "--config", plc.config, "--structure", "fopdt", "--verify")
         in_the_step(plc)
         tuner.kill()
         until(lambda: as_it_stands(plc) == plc.found)
@@ -132,7 +132,7 @@ def test_the_process_that_stands_by_leaves_a_living_owner_alone_and_goes_with_it
         until(lambda: not any(Path(f"/proc/{number}").exists() for number in others))
 
 
-def test_the_set_point_of_a_killed_run_is_back_by_itself(template, tmp_path):
+def test_the_set_point_of_a_killed_run_is_back_by_itself(tmp_path):
     """Killed on the way to the first point: its controller, left alone, goes back to where it was."""
     with ExitStack() as stack:
         plc = plc_with_plant(stack, tmp_path, auto=True, gains=["0.3", "2", "0"])

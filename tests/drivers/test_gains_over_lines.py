@@ -11,7 +11,6 @@ from autotuner.configuration import parse_configuration
 from autotuner.control.devices.plugins import make_backend
 from autotuner.control.records.journal import Journal
 from autotuner.core.design import PidGains
-from tests.control.template import Forked
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals exist on POSIX only")
 
@@ -43,10 +42,11 @@ async def test_eurotherm_takes_a_band_with_its_decimals_and_gets_the_old_one_bac
 
 
 @pytest.fixture
-def rtu(template, tmp_path):
+def rtu(tmp_path):
     """Return the serial port of a simulated PLC in another process."""
     port = tmp_path / "ttyPLC"
-    process = Forked(["plc", "--rtu", str(port), "--gains", "0.7", "13.3", "0.1"], stdout=subprocess.PIPE, text=True)
+    words = [sys.executable, "-m", "autotuner", "plc", "--rtu", str(port), "--gains", "0.7", "13.3", "0.1"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert json.loads(process.stdout.readline())["ready"]
     yield port
     process.terminate()

@@ -2,13 +2,14 @@
 
 import contextlib
 import json
+import subprocess
 import sys
 
 import pytest
 
 from autotuner.cli import main
 from autotuner.core.recording import Recording
-from tests.control.processes import CONTROLLER_REGISTERS, REGISTERS, ran, spawn
+from tests.control.processes import CONTROLLER_REGISTERS, PATIENCE_S, REGISTERS, spawn
 
 pytestmark = [
     pytest.mark.realtime,
@@ -55,7 +56,7 @@ output = {{{{ table = "holding", address = 1, type = "int16", scale = 0.1 }}}}
 
 
 @pytest.fixture
-def stack(template):
+def stack():
     with contextlib.ExitStack() as running:
         yield running
 
@@ -68,9 +69,10 @@ def write_heaters(folder, port):
 
 def tune(folder, *words):
     """Return what a tuning printed, as JSON."""
-    code, out, err = ran("tune", *words, "--config", str(folder / "loops.toml"), "--json", cwd=folder)
-    assert code == 0, out[:2000] + err
-    return json.loads(out)
+    command = [sys.executable, "-m", "autotuner", "tune", *words, "--config", str(folder / "loops.toml"), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=folder)
+    assert done.returncode == 0, done.stdout[:2000] + done.stderr
+    return json.loads(done.stdout)
 
 
 def tuned_heater(folder, loop, other):
@@ -93,7 +95,7 @@ def test_both_heaters_of_a_board_are_judged_together(stack, tmp_path, capsys):
 
 
 @pytest.mark.long
-def test_a_board_that_is_not_ours_is_tuned_while_its_other_channel_is_read_along(peer, template, tmp_path):
+def test_a_board_that_is_not_ours_is_tuned_while_its_other_channel_is_read_along(peer, tmp_path):
     """The peer's second heater warms nothing: its sensor reads the room."""
     port = tmp_path / "ttyPEER"
     peer("serial_peer.py", "--protocol", "tclab", "--link", port, "--plant", 0.65, 130, 15, "--speed", SPEED,

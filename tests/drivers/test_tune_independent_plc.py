@@ -2,10 +2,12 @@
 
 import json
 import socket
+import subprocess
+import sys
 
 import pytest
 
-from tests.control.processes import port_of_nobody, ran
+from tests.control.processes import PATIENCE_S, port_of_nobody
 
 SPEED = 5.0
 """Plant seconds per real second: the plant is identified in real seconds, so its times come out divided by this."""
@@ -41,7 +43,14 @@ def ask(port, command="get"):
 def tune(tmp_path, port, *arguments):
     config = tmp_path / "loops.toml"
     config.write_text(CONFIG.format(port=port), encoding="utf-8")
-    return ran("tune", "--config", str(config), "--json", *arguments, cwd=tmp_path)
+    return subprocess.run(
+        [sys.executable, "-m", "autotuner", "tune", "--config", str(config), "--json", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+        cwd=tmp_path,
+    )
 
 
 def start(peer, *arguments):
@@ -53,14 +62,13 @@ def start(peer, *arguments):
 
 
 @pytest.mark.realtime
-@pytest.mark.long  # the next one gives back too; test_gains_on_independent_plc.py judges the model by what the PLC does
-def test_a_cold_plc_that_is_not_ours_is_tuned_and_given_back(peer, template, tmp_path):
+def test_a_cold_plc_that_is_not_ours_is_tuned_and_given_back(peer, tmp_path):
     plc = start(peer)
     before = ask(plc["control"])
-    code, out, err = tune(tmp_path, plc["tcp"])
+    done = tune(tmp_path, plc["tcp"])
     after = ask(plc["control"])
-    assert code == 0, out + err
-    result = json.loads(out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = json.loads(done.stdout)
     assert result["model"]["K"] == pytest.approx(2.0, rel=0.05)
     assert result["model"]["T"] == pytest.approx(10.0 / SPEED, rel=0.05)
     assert result["model"]["D"] == pytest.approx(1.5 / SPEED, rel=0.15)  # the scan and the link add up to 0.02 s
@@ -69,14 +77,14 @@ def test_a_cold_plc_that_is_not_ours_is_tuned_and_given_back(peer, template, tmp
 
 
 @pytest.mark.realtime
-def test_a_plc_in_auto_is_taken_over_and_goes_back_to_auto(peer, template, tmp_path):
+def test_a_plc_in_auto_is_taken_over_and_goes_back_to_auto(peer, tmp_path):
     """Judged by K/T and D, which the relay shows sharply: K alone hangs on the exact moments of its switches."""
     rest = ("--auto", "--u0", 15, "--ubias", 15, "--y0", 50, "--sp", 50, "--own-pid", 0.5, 10.0, 0.0)
     plc = start(peer, *rest)
-    code, out, err = tune(tmp_path, plc["tcp"], "--structure", "fopdt")
+    done = tune(tmp_path, plc["tcp"])
     after = ask(plc["control"])
-    assert code == 0, out + err
-    model = json.loads(out)["model"]
+    assert done.returncode == 0, done.stdout + done.stderr
+    model = json.loads(done.stdout)["model"]
     assert model["K"] / model["T"] == pytest.approx(0.2 * SPEED, rel=0.1)
     assert model["D"] == pytest.approx(1.5 / SPEED, rel=0.15)
     assert after["auto"] == 1.0
@@ -84,8 +92,8 @@ def test_a_plc_in_auto_is_taken_over_and_goes_back_to_auto(peer, template, tmp_p
 
 
 @pytest.mark.realtime
-def test_a_plc_that_is_not_there_is_a_verdict(template, tmp_path):
+def test_a_plc_that_is_not_there_is_a_verdict(tmp_path):
     with port_of_nobody() as port:
-        code, out, _ = tune(tmp_path, port)
-    assert code == 1
-    assert json.loads(out)["verdict"]["code"] == "device_unreachable"
+        done = tune(tmp_path, port)
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["verdict"]["code"] == "device_unreachable"

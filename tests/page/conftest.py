@@ -4,12 +4,12 @@ import importlib.util
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.control.processes import PATIENCE_S
-from tests.control.template import Forked
 
 
 def _neighbour(name):
@@ -48,7 +48,7 @@ def browser(chromium):
 
 
 @pytest.fixture(scope="module")
-def start(template, tmp_path_factory):
+def start(tmp_path_factory):
     """Return a function that starts a command of the product and returns what its first line tells."""
     running, folder = [], tmp_path_factory.mktemp("service")
 
@@ -56,8 +56,8 @@ def start(template, tmp_path_factory):
         if config is not None:
             (folder / "loops.toml").write_text(config, encoding="utf-8")
             arguments = (*arguments, "--config", str(folder / "loops.toml"))
-        process = Forked(
-            arguments,
+        process = subprocess.Popen(
+            [sys.executable, "-m", "autotuner.cli", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,

@@ -19,7 +19,7 @@ data_directory = "data"
 
 [loops.TIC-101]
 driver = "simulated"
-sample_time_s = 0.05
+sample_time_s = 0.02
 relay = { amplitude = 10.0, quiet_s = 0.6, max_periods = 4, check = false }
 device = { plant = { structure = "fopdt", K = 2.0, T = 0.6, D = 0.2 }, output0 = 40.0, pv0 = 80.0, noise = 0.05 }
 """

@@ -18,14 +18,13 @@ from autotuner.configuration import parse_configuration
 from autotuner.service import serve as serve_module
 from autotuner.service.errors import ListenError
 from tests.control.processes import PATIENCE_S, until
-from tests.control.template import Forked
 
 pytestmark = pytest.mark.realtime
 
 FAST = """
 [loops.fast]
 driver = "simulated"
-sample_time_s = 0.05
+sample_time_s = 0.02
 relay = { amplitude = 10.0, quiet_s = 0.5, max_periods = 4, check = false }
 device = { plant = { structure = "fopdt", K = 2.0, T = 0.5, D = 0.2 }, output0 = 40.0, pv0 = 80.0, noise = 0.05 }
 """
@@ -61,20 +60,21 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.fixture
-def start(template, tmp_path):
-    """Return a function that starts a command of the product and returns the process with its first line.
-
-    A program of the test's own is started anew, the product's from the template.
-    """
+def start(tmp_path):
+    """Return a function that starts a command of the product and returns the process with its first line."""
     running = []
 
-    def run(*arguments, config=None, program=()):
+    def run(*arguments, config=None, program=("-m", "autotuner.cli")):
         if config is not None:
             (tmp_path / "loops.toml").write_text(config, encoding="utf-8")
             arguments = (*arguments, "--config", str(tmp_path / "loops.toml"))
-        kind, words = (subprocess.Popen, [sys.executable, *program]) if program else (Forked, [])
-        files = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        process = kind([*words, *arguments], **files, text=True, cwd=tmp_path)
+        process = subprocess.Popen(
+            [sys.executable, *program, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+        )
         running.append(process)
         return process, process.stdout.readline()
 

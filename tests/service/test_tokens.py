@@ -4,6 +4,7 @@ import json
 import re
 import ssl
 import subprocess
+import sys
 from pathlib import Path
 
 import httpx
@@ -12,13 +13,12 @@ import pytest
 from autotuner.cli import main
 from autotuner.configuration import state_directory
 from autotuner.errors import InputError, StorageError
+from autotuner.service.openapi import document
 from autotuner.service.security.limits import REMEMBERED, Buckets
 from autotuner.service.security.tokens import FILE, Role, Tokens
 from tests.control.processes import PATIENCE_S
-from tests.control.template import Forked
-from tests.service.conftest import DOCUMENT
 
-PATHS = json.loads(DOCUMENT.read_text(encoding="utf-8"))["paths"]
+PATHS = json.loads(document())["paths"]
 OPERATIONS = sorted((path, method) for path, methods in PATHS.items() for method in methods)
 UNPROTECTED = [("/", "get"), ("/page/{name}", "get")]
 WHO = ("no token", "malformed", "revoked", "viewer", "operator")
@@ -201,7 +201,7 @@ async def test_every_answer_has_the_secure_headers(serving, path):
 
 
 @pytest.mark.realtime
-def test_https_by_certificate_files(template, tmp_path):
+def test_https_by_certificate_files(tmp_path):
     key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
     made = subprocess.run(
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", certificate, "-days", "2",
@@ -213,8 +213,9 @@ def test_https_by_certificate_files(template, tmp_path):
     text = f'[service]\ncertificate = "{certificate}"\nprivate_key = "{key}"\n[loops.a]\ndriver = "simulated"\n'
     text += 'device = { plant = { structure = "fopdt", K = 1.0, T = 1.0, D = 0.1 } }\n'
     (tmp_path / "autotuner.toml").write_text(text, encoding="utf-8")
-    with Forked(
-        ["serve", "--json", "--port", "0"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    command = [sys.executable, "-m", "autotuner.cli", "serve", "--json", "--port", "0"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as server:
         address = json.loads(server.stdout.readline())["listening"]
         assert address.startswith("https://")
