@@ -99,7 +99,7 @@ def undisturbed(
         if error.warning is None or error.is_small:
             note = Note(
                 f"no model explains the whole record: something else moved the PV. The model is that of {start_s:.4g} "
-                f"to {end_s:.4g} s, where nothing did, and it explains the tail"
+                f"to {end_s:.4g} s, where nothing did, and it explains the last part, which was not fitted"
             )
             found = replace(found, limit_cycle=whole.limit_cycle or found.limit_cycle)
             return replace(found, warnings=(note, *found.warnings)), error

@@ -123,9 +123,14 @@ def place_levels(output: float, amplitude: float, ratio: float, limits: tuple[fl
     for above in (swing * ratio / (1.0 + ratio), swing / (1.0 + ratio)):
         if output + above <= highest and output + above - swing >= lowest:
             return Levels(output + above - swing, output + above, one_sided=False)
-    low = min(max(output - swing / (1.0 + ratio), lowest), highest - swing)
+    low = inside(output - swing / (1.0 + ratio), swing, limits)
     room = min(output - low, low + swing - output)
     return Levels(low, low + swing, one_sided=room < ROOM_NEEDED * swing)
+
+
+def inside(low: float, swing: float, limits: tuple[float, float]) -> float:
+    """Return the low level of a swing, moved as little as puts both levels inside the limits, output units."""
+    return min(max(low, limits[0]), limits[1] - swing)
 
 
 SURE = 4.5

@@ -92,7 +92,7 @@ def with_friction(context: FitContext, base: Base, effects: Sequence[Effect]) ->
         return []
     turning = [e for e in effects if e.group == "friction" and e.form == TURNING]
     found = [_turning(context, base, effect) for effect in within(context.dataset.budget, turning)]
-    found += _with_bands(context, base, base.best.problem.background)
+    found += _with_bands(context, base)
     return [f for f in found if is_physical(f) and _is_shown(context, base.best, f)]
 
 
@@ -105,7 +105,7 @@ def with_friction_beside_a_load(context: FitContext, base: Base, effects: Sequen
     free = next((e for e in effects if e.reads_as is not None), None)
     if free is None or not _may_stick(context):
         return []
-    found = _with_bands(context, base, base.best.problem.background, free)
+    found = _with_bands(context, base, free)
     alone = [alone_beside(context, f, f.problem.effects[0]) for f in found]
     loads = [e for e in effects if e.place in OF_DISTURBANCES and not e.measured]
     return extend(context, alone, loads) if alone else []
@@ -142,15 +142,13 @@ def _processes(problem: Extended) -> list[FloatArray]:
     return [np.array([math.log(T * interval), D * interval / problem.unit_s]) for T, D in product(LAGS, DELAYS)]
 
 
-def _with_bands(
-    context: FitContext, base: Base, background: tuple[str, ...], load: Effect | None = None
-) -> list[Fitted]:
+def _with_bands(context: FitContext, base: Base, load: Effect | None = None) -> list[Fitted]:
     """Return processes with a valve that sticks or has play: the closest with wide bands, and with narrow ones.
 
     With a load beside it only where they are wide.
     """
     dataset, beside = context.dataset, () if load is None else (load,)
-    bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, background, beside)
+    bands = Bands(dataset, *bands_of(TRAVELS, LEFT), context.coarse, base.best.problem.background, beside)
     alone = [o for o in (base.best, base.origins[0]) if o.problem.structure in (FOPDT, SECOND_ORDER)]
     processes = [(FOPDT, theta) for theta in _processes(base.best.problem)]
     processes += [(o.problem.structure, o.theta) for o in {id(o): o for o in alone}.values()]

@@ -24,7 +24,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from autotuner.core.experiment.relay import place_levels
+from autotuner.core.experiment.relay import inside, place_levels
 
 if TYPE_CHECKING:
     from autotuner.core.experiment.relay import Relay
@@ -61,7 +61,7 @@ def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tupl
     swing = relay.high - relay.low
     equilibrium = relay.low + duty * swing
     wanted = TARGET_DUTY if duty < 0.5 else 1.0 - TARGET_DUTY
-    low = min(max(equilibrium - wanted * swing, limits[0]), limits[1] - swing)
+    low = inside(equilibrium - wanted * swing, swing, limits)
     moved = replace(relay, low=low, high=low + swing)
     if not is_lopsided((equilibrium - low) / swing):
         return moved
@@ -71,8 +71,7 @@ def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tupl
 def one_amplitude_further(relay: Relay, limits: tuple[float, float], *, is_high: bool) -> Relay:
     """Return the relay with both levels moved by its amplitude, towards the one it is at, inside the limits."""
     swing = relay.high - relay.low
-    moved = relay.low + (relay.amplitude if is_high else -relay.amplitude)
-    low = min(max(moved, limits[0]), limits[1] - swing)
+    low = inside(relay.low + (relay.amplitude if is_high else -relay.amplitude), swing, limits)
     return replace(relay, low=low, high=low + swing)
 
 
@@ -152,6 +151,6 @@ def _scaled(relay: Relay, duty: float, factor: float, rested: OperatingPoint) ->
         placed = place_levels(rested.output, factor * relay.amplitude, settings.ratio, settings.relay_limits)
         if placed is not None and not placed.one_sided:
             return replace(relay, low=placed.low, high=placed.high)
-    lowest, highest = settings.relay_limits
-    low = min(max(equilibrium - duty * factor * swing, lowest), highest - factor * swing)
-    return replace(relay, low=low, high=low + factor * swing)
+    scaled = factor * swing
+    low = inside(equilibrium - duty * factor * swing, scaled, settings.relay_limits)
+    return replace(relay, low=low, high=low + scaled)
