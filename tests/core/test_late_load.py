@@ -84,6 +84,13 @@ def test_only_the_rest_before_the_relay_counts():
     assert wander_at_rest(Recording(record.t, record.output, wandering)) == 0.0
 
 
+def test_a_load_at_the_end_of_the_rest_is_not_taken_for_noise():
+    """A PV that falls within the last eight of fifty samples; noise that wanders as far through all fifty is noise."""
+    rng, t = np.random.default_rng(7), np.arange(50.0)
+    rests = 0.1 * rng.standard_normal((100, 50)) - 4.0 * -np.expm1(-np.maximum(t - 42.0, 0.0) / 8.0)
+    assert np.mean([largest_wander(t, rest) > 0.3 for rest in rests]) < 0.05
+
+
 @pytest.mark.parametrize("last", [{"return": 90.0}, {"staircase": 90.0}, {"staircase": 60.0, "return": 119.9}])
 def test_a_part_without_a_load_is_searched_where_a_check_was_cut_short(last):
     """There is no tail then: the part after it judges the model, or the one before that where it is too short."""

@@ -162,13 +162,16 @@ def largest_wander(t: FloatArray, pv: FloatArray) -> float:
 
     A standard deviation of `N` readings with lag-one correlation `r` is known as well as one of `M` independent ones
     (Bartlett, J. R. Stat. Soc. 98, 1935); `r'`, the correlation about a line, is too small by `(2 + 4 r)/N` on average
-    (Kendall, Biometrika 41, 1954). Noise counts as coloured from two standard errors of `r'`, `2/sqrt(N)`, on.
+    (Kendall, Biometrika 41, 1954). Noise counts as coloured from two standard errors of `r'`, `2/sqrt(N)`, on. Wild
+    samples are left out: a load that comes at the end of the rest is no noise.
 
     Parameters
     ----------
     t, pv : array of float, shape (N,)
         Samples of a loop at rest, s and PV units.
     """
+    if np.ptp(tame := without_wild(pv)) > 0.0:
+        t, pv = t[np.isin(pv, tame)], tame
     if t.size < FEWEST_FOR_COLOUR:
         return 0.0
     left = pv - np.polyval(np.polyfit(t - t[0], pv, 1), t - t[0])
