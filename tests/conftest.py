@@ -28,6 +28,7 @@ import pytest
 
 from autotuner.linear_algebra_threads import use_one_thread
 
+gc.disable()  # until all tests are collected: a quarter of that time is the collector's, and what is made there stays
 use_one_thread()  # before anything imports numpy
 
 from autotuner.application.analysis import procedure  # noqa: E402
@@ -61,6 +62,12 @@ def shared():
     if not SHARED.is_dir():
         pytest.skip(f"the reference material is absent: {SHARED}")
     return SHARED
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish():
+    """Let the collector work again."""
+    gc.enable()
 
 
 def pytest_configure(config):
