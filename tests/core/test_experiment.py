@@ -97,6 +97,21 @@ def test_a_lopsided_relay_is_moved_to_the_middle(load):
     assert not is_lopsided(sum(u == max(late) for u in late) / len(late))
 
 
+@pytest.mark.parametrize("load", [0.0, 0.3])
+def test_an_integrating_process_at_the_end_of_its_range_is_not_carried_away(load):
+    """No reference makes the periods equal: it is moved once, and not in proportion again and again."""
+    plant = SteppedPlant(Integrating(0.02, 60.0, 3.0), output0=1.0 + load, pv0=50.0, sensors=[Noise(0.005, seed=1)])
+    experiment, _ = conduct(plant, ExperimentSettings(sample_time_s=1.0), output0=1.0 + load)
+    assert experiment.verdict is None
+    assert abs(plant.measure() - 50.0) < 40.0
+
+
+def test_the_reference_is_not_moved_near_a_limit_of_the_pv():
+    """From 20 at rest with a limit at 26, the middle of the way is the farthest."""
+    moved = recentred(Relay(0.0, 20.0, 22.0), 0.05, (0.0, 20.0), (0.0, 100.0), (0.0, 26.0))
+    assert moved.reference == 23.0
+
+
 def test_the_end_is_reached_within_the_time_limit():
     settings = ExperimentSettings(sample_time_s=0.1, amplitude=10.0, time_limit_s=20.0)
     experiment, samples = conduct(heater(), settings)

@@ -21,6 +21,7 @@ remaining error.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -37,6 +38,10 @@ TARGET_DUTY = 0.36
 """Wanted share of the period at the rarer level: asymmetric enough to show the static gain."""
 NEAREST = 0.05
 """Smallest distance of the equilibrium from rest, as a share of the swing, that scales the reference."""
+FOLLOWS = 0.5
+"""Share of what the reference was moved by that the equilibrium of a self-regulating process follows, at least."""
+LEAST_WAY = 0.02
+"""Distance of the equilibrium from rest, as a share of the swing, that is no more than its uncertainty."""
 
 
 def is_lopsided(duty: float) -> bool:
@@ -44,7 +49,13 @@ def is_lopsided(duty: float) -> bool:
     return not 1.0 / (1.0 + LOPSIDED) <= duty <= LOPSIDED / (1.0 + LOPSIDED)
 
 
-def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tuple[float, float]) -> Relay:
+def recentred(
+    relay: Relay,
+    duty: float,
+    rest: tuple[float, float],
+    limits: tuple[float, float],
+    pv_limits: tuple[float, float] = (-math.inf, math.inf),
+) -> Relay:
     """Return the relay moved so that its duty comes near `TARGET_DUTY` (or its complement).
 
     Parameters
@@ -55,8 +66,8 @@ def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tupl
         Share of the period it spent at the high level.
     rest : tuple of float
         Output and PV at rest before the experiment.
-    limits : tuple of float
-        Lowest and highest output allowed.
+    limits, pv_limits : tuple of float
+        Lowest and highest output, and PV, allowed.
     """
     swing = relay.high - relay.low
     equilibrium = relay.low + duty * swing
@@ -65,7 +76,27 @@ def recentred(relay: Relay, duty: float, rest: tuple[float, float], limits: tupl
     moved = replace(relay, low=low, high=low + swing)
     if not is_lopsided((equilibrium - low) / swing):
         return moved
-    return replace(moved, reference=_moved_reference(moved, equilibrium, rest))
+    (_, rest_pv), (lowest, highest) = rest, pv_limits
+    nearest = [rest_pv + NEAREST_TO_LIMIT * (limit - rest_pv) for limit in (lowest, highest)]
+    return replace(moved, reference=min(max(_moved_reference(moved, equilibrium, rest), nearest[0]), nearest[1]))
+
+
+def shifted_in_vain(before: tuple[Relay, float], after: tuple[Relay, float], rest: tuple[float, float]) -> bool:
+    """Return whether the equilibrium did not follow the reference: the process integrates, and has none of that kind.
+
+    Parameters
+    ----------
+    before, after : tuple of Relay and float
+        Relay and duty before the reference was moved, and now.
+    rest : tuple of float
+        Output and PV at rest before the experiment.
+    """
+    rest_output, rest_pv = rest
+    ways = [abs(relay.low + duty * (relay.high - relay.low) - rest_output) for relay, duty in (before, after)]
+    references = [relay.reference - rest_pv for relay, _ in (before, after)]
+    swing = after[0].high - after[0].low
+    promised = ways[0] * abs(references[1] / references[0]) if references[0] else math.inf
+    return ways[1] < max(FOLLOWS * promised, LEAST_WAY * swing)
 
 
 def one_amplitude_further(relay: Relay, limits: tuple[float, float], *, is_high: bool) -> Relay:

@@ -26,6 +26,7 @@ from autotuner.core.experiment.relay_phase.adjustment import (
     is_lopsided,
     one_amplitude_further,
     recentred,
+    shifted_in_vain,
     strengthened,
 )
 from autotuner.core.experiment.relay_phase.check import HalfRelay, Oscillated
@@ -76,6 +77,7 @@ class Oscillation:
         self._action_check = ActionCheck(rested, started_s)
         self._recentres = self._adaptions = 0
         self._was_carried_off = False
+        self._shifted_from: tuple[Relay, float] | None = None
         self._model_error, self._expected_loss = math.inf, 0.0
         self._first_half_s = 0.0
         self.longest_half_s = rested.half_s
@@ -130,7 +132,7 @@ class Oscillation:
         duty = usual_duty(self.detector.cycles)
         if not self._is_buried(cycle.peak):
             self.longest_half_s = max(self.longest_half_s, self.detector.longest_half_s)
-            if is_lopsided(duty) and self._recentres < MAX_RECENTRES:
+            if is_lopsided(duty) and self._recentres < MAX_RECENTRES and not self._is_shifted_in_vain(duty):
                 return self._recentre(cycle, duty, pv)
         if self._adaptions < MAX_ADAPTIONS and (stronger := adapted(self.relay, cycle, self._rested)):
             self._adaptions += 1
@@ -183,10 +185,21 @@ class Oscillation:
         return RunningEstimate(self.detector.half_periods, cycle.period_s, cycle.peak, cycle.fundamental, gain)
 
     def _recentre(self, cycle: Cycle, duty: float, pv: float) -> Step:
-        rested = self._rested
+        settings = self._rested.settings
         self._recentres += 1
-        rest = rested.output, rested.quiet.pv
-        return self._begin_again(cycle, recentred(self.relay, duty, rest, rested.settings.relay_limits), pv)
+        relay = recentred(self.relay, duty, self._rest, settings.relay_limits, settings.limits.pv)
+        self._shifted_from = (self.relay, duty) if relay.reference != self.relay.reference else None
+        return self._begin_again(cycle, relay, pv)
+
+    @property
+    def _rest(self) -> tuple[float, float]:
+        """Output and PV at rest."""
+        return self._rested.output, self._rested.quiet.pv
+
+    def _is_shifted_in_vain(self, duty: float) -> bool:
+        """Return whether another reference made no difference: a third one would only carry the PV further away."""
+        before = self._shifted_from
+        return before is not None and shifted_in_vain(before, (self.relay, duty), self._rest)
 
     def _begin_again(self, cycle: Cycle, relay: Relay, pv: float) -> Step:
         """Continue with another relay from the end of a period."""
