@@ -7,8 +7,8 @@ Each draw is a process (lags with dead time, D/T 0.05 to 10; integrating; invers
 of 0.3 to 3 % of the oscillation, and one circumstance. The product tunes it with default settings (`virtual_loop`).
 Gains are judged on the true loop, with half a sample for the hold of the controller: bad where Ms exceeds 2 or the loop
 is unstable, silently wrong where no warning was given. After a refusal its advice is followed once (`ADVICE`) on the
-same process, for which time has gone on, and the gains of the second tuning are judged alike. Seeds below 100 were
-developed on.
+same process, for which time has gone on, and the gains of the second tuning are judged alike. The last line tells how far a
+tuning moved the PV. Seeds below 100 were developed on.
 `--record` appends each draw to a file of JSON lines, from which a later call takes what was drawn before.
 """
 
@@ -169,6 +169,8 @@ class Row:
     warnings: tuple[str, ...] = ()
     message: str = ""
     second: Row | None = None
+    travel: float = math.nan
+    """Largest distance of the PV from its first reading, in amplitudes of the oscillation."""
 
     @property
     def refused(self) -> bool:
@@ -180,6 +182,7 @@ class Row:
 
     def line(self) -> str:
         told = "REFUSED" if self.refused else f"Ms {self.Ms:.3f}"
+        told += f", travel {self.travel:.1f}"
         line = f"  {self.circumstance}, {self.process}: {told} {self.code} {self.message} {list(self.warnings)}"
         return line if self.second is None else f"{line}\n    its advice followed: {self.second.line().strip()}"
 
@@ -252,17 +255,20 @@ def once(
     name: str, process: LinearProcess, moving: Process, around: Surroundings, scales: tuple[float, float, float]
 ) -> tuple[Row, float]:
     """Return what one tuning gives, and when it ended, s; `scales` are seconds of a unit of time, gain, sample time."""
-    (scale, gain, dt), Pu = scales, ultimate(process)[1]
+    (scale, gain, dt), (Ku, Pu) = scales, ultimate(process)
     tuning = tuned(moving, around)
+    pvs = np.array([sample.pv for sample in tuning.samples] or [math.nan])
+    travel = float(np.abs(pvs - pvs[0]).max()) * Ku / (gain * 4.0 / math.pi * AMPLITUDE)
     ended_s = tuning.samples[-1].t if tuning.samples else 0.0
     analysis, verdict = tuning.analysis, tuning.verdict
     assert verdict is not None
     if not tuning.succeeded or analysis is None or analysis.gains is None:
-        return Row(name, process.name, verdict.code, message=verdict.message), ended_s
+        return Row(name, process.name, verdict.code, message=verdict.message, travel=travel), ended_s
     found: Any = analysis.gains.gains
     own = (found.Kp * gain, found.Ti / scale, found.Td / scale, found.Tf / scale)
     Ms, _, stable = sensitivities(replace(process, D=process.D + dt / scale / 2.0), own, Pu)
-    return Row(name, process.name, "done", Ms if stable else math.inf, tuple(tuning.warnings)), ended_s
+    row = Row(name, process.name, "done", Ms if stable else math.inf, tuple(tuning.warnings), travel=travel)
+    return row, ended_s
 
 
 def recorded(file: Path | None, seed: int) -> dict[tuple[str, int], Row]:
@@ -297,6 +303,9 @@ def report(rows: list[Row]) -> None:
         print(
             f"{name:20s} {shown} {sum(bool(row.warnings) for row in good):6d}  {dict(Counter(r.code for r in refused))}"
         )
+    travels = [row.travel for row in rows if math.isfinite(row.travel)]
+    median, high, worst = np.percentile(travels, [50, 99, 100]) if travels else [math.nan] * 3
+    print(f"largest distance of the PV from rest, amplitudes: median {median:.1f}, p99 {high:.1f}, worst {worst:.1f}")
 
 
 def main() -> None:
