@@ -11,8 +11,9 @@ from autotuner.core.diagnosis.effects.disturbance import (
     disturbance_effects,
     load_at_the_input,
 )
-from autotuner.core.diagnosis.effects.free_forms import _splines, _times_curve, _turns, free_forms
+from autotuner.core.diagnosis.effects.free_forms import _splines, _turns, free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
+from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time, times_curve
 from autotuner.core.diagnosis.effects.waves import lines_of_all, spectral_lines, wave_at_the_input
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
@@ -46,7 +47,7 @@ PLANTS = [LAG, PAIR, RINGING, INTEGRATOR]
 
 def effects_of(recording):
     dataset = dataset_of(recording)
-    return (*disturbance_effects(dataset, [dataset.data.pv], []), *free_forms(dataset))
+    return (*disturbance_effects(dataset, [dataset.data.pv], []), *free_forms(dataset), *gains_in_time(dataset))
 
 
 def with_effect(recording, plant, key, p):
@@ -288,22 +289,22 @@ def test_splines_sum_up_to_one_without_the_first(count):
 
 @pytest.mark.parametrize("plant", [LAG, PAIR])
 def test_a_gain_that_jumps_is_a_second_plant_from_then_on(plant):
-    """The output times a step at 150.3 s, for a gain of 30 % more: a level that stands jumps, too."""
+    """The output times a step at 150.3 s, a dead time later there, of 30 %: a level that stands jumps, too."""
     at_s, u = 150.3, moves()
     fine = np.repeat(u, 10) * (np.arange(3000) * 0.1 >= at_s - 1e-9)
     more = record(plant, fine, sample_s=0.1)
     alone = record(plant, u)
     recording = Recording(alone.t, alone.output, alone.pv + 0.3 * (more.pv[::10] - PV0))
-    fitted = with_effect(recording, plant, "gain_drift:jump", (at_s / SPAN_S,))
+    fitted = with_effect(recording, plant, "gain_drift:jump", ((at_s + plant.D) / SPAN_S,))
     assert left(fitted) < 1e-9
     assert left(at_the_truth(recording, plant)) > 0.02
-    assert fitted.sizes() == [pytest.approx({"relative_change": 0.3, "at_s": at_s})]
+    assert fitted.sizes() == [pytest.approx({"relative_change": 0.3, "at_s": at_s + plant.D})]
 
 
 def test_a_gain_along_straight_pieces_is_a_free_one():
-    """A change at the knots, at thirds of the fitted part, of 0.2, -0.1 and 0.4; written in 120 steps."""
+    """A change at the knots, at thirds of the fitted part, of 0.2, -0.1 and 0.4; written in 100 steps."""
     u, until = moves(), 224.0
-    fine = np.arange(3000) * 0.1
+    fine = np.arange(3000) * 0.1 + LAG.D
     change = np.interp(fine, until * np.array([0.0, 1.0, 2.0, 3.0]) / 3.0, [0.0, 0.2, -0.1, 0.4])
     more = record(LAG, np.repeat(u, 10) * change, sample_s=0.1)
     alone = record(LAG, u)
@@ -321,7 +322,7 @@ def test_an_input_times_a_curve_is_their_product_at_any_time():
     random = np.random.default_rng(5)
     held = HeldInput(np.append(0.0, np.sort(random.uniform(0.0, 100.0, 30))), np.append(0.0, random.normal(size=30)))
     times, curve = np.append(0.0, np.sort(random.uniform(0.0, 100.0, 9))), random.normal(size=10)
-    product = _times_curve(held, times, curve)
+    product = times_curve(held, 100.0, lambda t: curve[np.searchsorted(times, t, side="right") - 1], times)
     for t in random.uniform(0.0, 120.0, 60):
         level, factor, ours = (
             of[np.searchsorted(at, t, side="right") - 1]

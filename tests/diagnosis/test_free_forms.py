@@ -8,7 +8,7 @@ import scipy
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
-from autotuner.core.diagnosis.effects.free_forms import _by_chance, _shape_of
+from autotuner.core.diagnosis.effects.free_forms import _shape_of, by_chance
 from autotuner.core.diagnosis.effects.process.friction import _Axis, _course
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
@@ -181,6 +181,7 @@ def test_an_odd_curve_shows_one_direction_by_the_other():
     plain, odd = sorted(curves, key=context.held_out_error, reverse=True)
     assert odd.problem.effects[0].form == "free, odd, 11 knots"
     assert context.held_out_error(odd) < 1.3 * 0.05 < 0.2 * context.held_out_error(plain)
+    assert odd.sizes()[0]["curvature"] == 0.0 < odd.sizes()[0]["slope_at_rest"]
 
 
 def test_an_output_of_one_sign_has_no_odd_curve():
@@ -323,4 +324,4 @@ def test_what_begins_right_after_one_of_few_moves_is_an_answer_to_it(begins_s, c
     """Moves at 100 and 350 of 700 s: 5 s after one of them lie 10 s, 150 s after lie 300 s."""
     output = np.where(np.arange(N) < 100, 0.0, np.where(np.arange(N) < 350, 5.0, -2.0))
     dataset = dataset_of(recorded(output, np.zeros(N), 0.1))
-    assert _by_chance(dataset, begins_s) is chance
+    assert by_chance(dataset, begins_s) is chance

@@ -4,15 +4,20 @@ import numpy as np
 import pytest
 
 from autotuner import Recording
+from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
 from autotuner.core.diagnosis.effects.actuator.saturation import saturations
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_effects
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.search.judge import held_out, is_supported, weigh
 from autotuner.core.diagnosis.search.search import extend
+from autotuner.core.diagnosis.search.simplify import with_plain_limit
 from autotuner.core.diagnosis.search.trace import _exchanged
-from autotuner_sim import BiasStep, Drift, LoadStep, Saturation
+from autotuner.core.signals.noise import rms
+from autotuner_sim import Backlash, BiasStep, Drift, LoadStep, PeriodicLoad, Saturation
 from tests.diagnosis.simulated import LAG, at_the_truth, moves, of_form, record
 
 SIGMA = 0.05
@@ -40,6 +45,39 @@ def test_a_free_load_beside_a_limit_is_exchanged_for_the_drift_that_it_follows()
     assert context.held_out_error(found) < 1.2 * SIGMA < 0.5 * context.held_out_error(pair)
     assert found.sizes()[0]["high"] == pytest.approx(43.0, abs=0.1)
     assert found.sizes()[1]["pv_per_s"] == pytest.approx(0.01, rel=0.02)
+
+
+def test_play_beside_a_load_of_free_shape_is_judged_without_the_course_of_the_load_after_the_fitted_part():
+    """The load turns after 360 s, where the splines end: the whole error of the pair there is the load's."""
+    recording = noisy(actuators=[Backlash(1.0)], loads=[PeriodicLoad(4.0, 700.0)])
+    context = bench_of(dataset_of(recording))
+    free, play = free_forms(context.dataset)[0], of_form(friction_effects(context.dataset), "backlash")
+    start = at_the_truth(recording, LAG, (free, []), dataset=context.dataset)
+    alone = fit(start.problem, start.theta, 20)
+    pair = extend(context, [alone], [play])[0]
+    evidence = weigh(context, alone, pair)
+    assert context.held_out_error(pair) > 4.0 * SIGMA
+    assert rms(held_out(context, alone, pair)[1]) < 1.2 * SIGMA
+    assert evidence.held_out_ratio < 0.2
+    assert is_supported(evidence, first=False, seen_held_out=True)
+    # Another effect than the one in the record does not pass by the same way.
+    other = extend(context, [alone], [of_form(loads_of(context.dataset), "bias_step")])[0]
+    assert not is_supported(weigh(context, alone, other), first=False, seen_held_out=True)
+
+
+def test_a_kink_with_no_gain_above_it_is_a_limit_beside_a_load_too():
+    recording = noisy(actuators=[Saturation(0.0, 43.0)], offsets=[Drift(0.01)])
+    context = bench_of(dataset_of(recording))
+    kinks, drift = actuator_effects(context.dataset, [], {}), of_form(loads_of(context.dataset), "drift")
+    kink = of_form(kinks, "direction_gain:kink elsewhere")
+    low = float(context.dataset.data.held.levels.min())
+    at = at_the_truth(
+        recording, LAG, (kink, [(3.0 - low) / context.dataset.swing]), (drift, []), dataset=context.dataset
+    )
+    found = with_plain_limit(context, fit(at.problem, at.theta, 10), saturations(context.dataset))
+    assert found.names == ("saturation", "drift")
+    assert found.sizes()[0]["high"] == pytest.approx(43.0, abs=0.1)
+    assert found.rms < 1.1 * SIGMA
 
 
 def test_a_load_is_found_beside_a_jump_of_the_reading():

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from autotuner.core.diagnosis.effects.declared import declared_effects, lagged
 from autotuner.core.diagnosis.effects.process.friction import process_friction
+from autotuner.core.diagnosis.effects.process.gain_in_time import times_curve
 from autotuner.core.diagnosis.effects.process.stepping import averaged
-from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag, times_time
+from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
@@ -273,16 +274,28 @@ def test_a_gain_that_drifts_is_the_simulators(plant, per_s):
     fitted = with_effect(recording, plant, "gain_drift", ())
     assert left(fitted) < 3e-3
     assert left(at_the_truth(recording, plant)) > 0.05
-    # Ours counts time where the output moves, the simulator's where it arrives: a dead time of change.
-    assert fitted.sizes()[0]["relative_change_per_h"] == pytest.approx(
-        3600.0 * per_s / (1.0 + per_s * plant.D), rel=0.01
-    )
+    assert fitted.sizes()[0]["relative_change_per_h"] == pytest.approx(3600.0 * per_s, rel=0.002)
+    assert pytest.approx(plant.K, rel=0.002) == fitted.process().K  # that of the first moment, where it arrives
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+def test_a_gain_that_settles_follows_an_exponential(plant):
+    """The output times 1 - 0.4 (1 - exp(-t/80 s)), `t` a dead time later; in steps of 0.1 s for the simulator."""
+    u, fine = moves(), np.arange(3000) * 0.1 + plant.D
+    alone = record(plant, u)
+    less = record(plant, np.repeat(u, 10) * 0.4 * np.expm1(-fine / 80.0), sample_s=0.1)
+    recording = Recording(alone.t, alone.output, alone.pv + less.pv[::10] - PV0)
+    fitted = with_effect(recording, plant, "gain_drift:settling", (math.log(80.0 / 299.0),))
+    assert left(fitted) < 2e-3
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes() == [pytest.approx({"relative_change": -0.4, "settles_over_s": 80.0}, rel=0.02)]
+    assert pytest.approx(plant.K, rel=0.002) == fitted.process().K
 
 
 def test_an_input_times_time_has_its_means():
     """Each small step is the mean of u t/span over it, to the next: the area below is that of the ramp."""
     held = HeldInput(np.array([0.0, 20.0, 50.0]), np.array([0.0, 4.0, -2.0]))
-    drifted = times_time(held, 100.0)
+    drifted = times_curve(held, 100.0, lambda t: t / 100.0)
     ends = np.append(drifted.times[1:], 100.0)
     area = float(np.sum(drifted.levels * np.maximum(np.minimum(ends, 100.0) - np.minimum(drifted.times, 100.0), 0.0)))
     exact = 4.0 * (50.0**2 - 20.0**2) / 200.0 - 2.0 * (100.0**2 - 50.0**2) / 200.0

@@ -28,7 +28,7 @@ from autotuner.core.diagnosis.record.sensor import (
     new_readings,
     spikes_of,
 )
-from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.search.judge import VISIBLE, held_out, noise_of
 from autotuner.core.diagnosis.search.measured_disturbances import with_known
 from autotuner.core.diagnosis.search.trace import Trace, trace, with_own_times
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
@@ -293,7 +293,7 @@ def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, Bo
 
 def _is_as_good_later(context: FitContext, found: Trace) -> bool:
     """Return whether the explanation is as good on the held-out part as on the other, or leaves noise there."""
-    return context.held_out_error(found.chosen) <= LATE * max(found.noise, found.chosen.rms)
+    return rms(held_out(context, found.chosen, found.chosen)[1]) <= LATE * max(found.noise, found.chosen.rms)
 
 
 def _share_that_decides(context: FitContext, found: Trace) -> float:

@@ -1,8 +1,6 @@
-"""Forms that no textbook has: a load and a gain that follow a smooth curve of time, loads and jumps that end again.
+"""Forms that no textbook has: a load that follows a smooth curve of time, loads and jumps that end again.
 
     load     G[sum_j c_j B_j(t)]            B-splines over the fitted part, constant after it
-    gain     + sum_j c_j G[v H_j(t)]        H_j straight pieces between a few knots
-             + c G[v step(t - ts)]          a gain that jumps
     pulse    + c G[step(t - ts) - step(t - ts - d)],   and the same on the reading
     ramp     + c G[min((t - ts)/d, 1)]
 
@@ -33,8 +31,8 @@ if TYPE_CHECKING:
     _Held = tuple[FloatArray, FloatArray]
     """Times and levels of an input that is held in between."""
 
-SPLINES, KNOTS = (6, 11), 4
-"""Numbers of splines of a free load, and of straight pieces of a free gain."""
+SPLINES, SPLINES_AFTER = (6, 11), 4
+"""Numbers of splines of a free load over the fitted part, and over the selection part."""
 PIECES = 120
 """Steps in which a curve of time is written."""
 AT_ONCE, NEARLY_ALL = 0.25, 0.8
@@ -53,7 +51,7 @@ MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 def free_forms(dataset: Dataset) -> tuple[Effect, ...]:
     """Return the forms, with starts from the length of the fitted part."""
     loads = tuple(_free_load(dataset, count) for count in SPLINES)
-    return (*loads, _free_gain(dataset), _gain_jump(dataset), _pulse(dataset), _ramp(dataset), _there_and_back(dataset))
+    return (*loads, _pulse(dataset), _ramp(dataset), _there_and_back(dataset))
 
 
 def _free_load(dataset: Dataset, count: int) -> Effect:
@@ -80,6 +78,15 @@ def _free_load(dataset: Dataset, count: int) -> Effect:
         unseen_after=True,
         reads_as=lambda c: _shape_of(np.array(c) @ curves),
     )
+
+
+def free_load_after(view: View) -> FloatArray:
+    """Return the responses to loads of free shape that begin at the end of the fitted part, shape (N, splines)."""
+    dataset = view.dataset
+    times = np.linspace(dataset.fitted_until_s, dataset.span_s, PIECES // 2, endpoint=False)
+    curves = _splines((times - times[0]) / (dataset.span_s - times[0]), SPLINES_AFTER)
+    loads = (HeldInput(np.append(0.0, times), np.append(0.0, curve)) for curve in curves)
+    return np.column_stack([view.forced(load, delayed=False) for load in loads])
 
 
 def _splines(x: FloatArray, count: int) -> FloatArray:
@@ -113,43 +120,13 @@ def _turns(curve: FloatArray, least: float) -> int:
     return turns
 
 
-def _times_curve(held: HeldInput, times: FloatArray, curve: FloatArray) -> HeldInput:
-    """Return an input multiplied by a curve of time, constant after its end."""
-    edges = np.union1d(held.times, times)
-    level = held.at(edges)
-    factor = curve[np.minimum(np.searchsorted(times, edges, side="right"), curve.size) - 1]
-    return HeldInput(edges, level * factor - level[0] * factor[0])
-
-
-def _free_gain(dataset: Dataset) -> Effect:
-    until = dataset.fitted_until_s
-    times = np.linspace(0.0, until, PIECES, endpoint=False)
-    at = np.linspace(0.0, 1.0, KNOTS)
-    hats = [np.interp(times / until, at, np.eye(KNOTS)[j]) for j in range(1, KNOTS)]
-
-    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(_times_curve(view.position, times, hat)) for hat in hats]
-
-    return Effect(
-        "gain_drift",
-        Place.PROCESS,
-        (),
-        [()],
-        lambda _p, c, g: {"relative_change": c[-1] / g, "largest_relative_change": max(c, key=abs) / g},
-        form=f"free, {KNOTS} knots",
-        columns=columns,
-        price=2.0,
-        group="gain in time",
-        means=lambda _p, c, g, _shape: all(1.0 + x / g > 0.0 for x in c),
-    )
-
-
-def _moment(dataset: Dataset, moments: Sequence[float] = MOMENTS) -> tuple[Searched, list[float]]:
+def moment_of(dataset: Dataset, moments: Sequence[float] = MOMENTS) -> tuple[Searched, list[float]]:
+    """Return the moment of an event, in spans of the record, and its starts, given as shares of the fitted part."""
     share = dataset.fitted_until_s / dataset.span_s
     return Searched("moment", 0.005, 0.995, 1e-4), [share * m for m in moments]
 
 
-def _by_chance(dataset: Dataset, at_s: float) -> bool:
+def by_chance(dataset: Dataset, at_s: float) -> bool:
     """Return whether something that begins at a time may do so by chance: not right after one of a few moves.
 
     An event after a move of the output is a response to it, and neither a load nor a change of gain.
@@ -163,30 +140,8 @@ def _by_chance(dataset: Dataset, at_s: float) -> bool:
     return float(np.minimum(gaps, since).sum()) > COINCIDENCE * dataset.span_s
 
 
-def _gain_jump(dataset: Dataset) -> Effect:
-    span = dataset.span_s
-    moment, starts = _moment(dataset, np.linspace(0.08, 0.92, 12).tolist())
-
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        at = p[0] * span
-        return [view.forced(_times_curve(view.position, np.array([0.0, at]), np.array([0.0, 1.0])))]
-
-    return Effect(
-        "gain_drift",
-        Place.PROCESS,
-        (moment,),
-        [(s,) for s in starts],
-        lambda p, c, g: {"relative_change": c[0] / g, "at_s": p[0] * span},
-        form="jump",
-        columns=columns,
-        price=math.log(12.0),
-        group="gain in time",
-        means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and _by_chance(dataset, p[0] * span),
-    )
-
-
 def _lasting(dataset: Dataset) -> tuple[tuple[Searched, ...], list[tuple[float, ...]]]:
-    moment, starts = _moment(dataset)
+    moment, starts = moment_of(dataset)
     return (moment, Searched("lasts", 0.01, 0.9, 1e-4)), [(s, d) for s in starts for d in LASTING]
 
 
@@ -209,7 +164,7 @@ def _lasting_load(dataset: Dataset, form: str, duration: str, shape: Callable[[f
         columns=columns,
         price=math.log(20.0),
         group="step",
-        means=lambda p, _c, _g, _shape: _by_chance(dataset, p[0] * span),
+        means=lambda p, _c, _g, _shape: by_chance(dataset, p[0] * span),
     )
 
 

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.free_forms import free_load_after
 from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, FLOOR, noise_at_rest
+from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.signals.noise import inflation, noise_sigma
+from autotuner.core.signals.noise import inflation, noise_sigma, rms
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
@@ -113,9 +115,33 @@ def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
 
 def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) -> bool:
     """Return whether the held-out part is uninformative: the effect had faded before it, or is not visible there."""
-    first, second = (context.held_out_error(c) for c in (before, after))
+    first, second = (rms(r) for r in held_out(context, before, after))
     least = math.hypot(noise, context.dataset.floor)
     return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
+
+
+def held_out(context: FitContext, before: Fitted, after: Fitted) -> list[FloatArray]:
+    """Return the residuals of both on the part not fitted, less those of a free load beside another effect in `after`.
+
+    A load of free shape predicts nothing after the fitted part. Its error there would hide what the other effect does.
+    """
+    if not is_beside_free_load(after):
+        return [context.held_out_residual(candidate) for candidate in (before, after)]
+    return [without_free_load(context, candidate) for candidate in (before, after)]
+
+
+def is_beside_free_load(candidate: Fitted) -> bool:
+    """Return whether a load of free shape is one of several effects."""
+    effects = candidate.problem.effects
+    return len(effects) > 1 and any(effect.reads_as is not None for effect in effects)
+
+
+def without_free_load(context: FitContext, candidate: Fitted) -> FloatArray:
+    """Return the residual on the part not fitted, less what a load of free shape explains there, PV."""
+    residual = context.held_out_residual(candidate)
+    q, _ = solve_linear(free_load_after(candidate.problem.view(candidate.theta, context.held_out)), residual)
+    left: FloatArray = residual - q @ (q.T @ residual)
+    return left
 
 
 def held_out_gain(context: FitContext, before: Fitted, after: Fitted) -> tuple[float, float]:
@@ -124,7 +150,7 @@ def held_out_gain(context: FitContext, before: Fitted, after: Fitted) -> tuple[f
     A process that integrates keeps every error of its load: its residual is a random walk, of which a short part has
     few independent samples. There the slopes of the residuals decide, unless the residuals themselves speak against it.
     """
-    first, second = (context.held_out_residual(candidate) for candidate in (before, after))
+    first, second = held_out(context, before, after)
     ratio, z = _fall_of_squares(first, second, context.dataset.floor)
     if ratio >= 1.0 or not all(c.problem.structure.stiffness == 0.0 for c in (before, after)):
         return ratio, z
@@ -179,7 +205,8 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     """Return whether a further effect is more than a mend of the first one's form."""
     weight = _part_of_fall(alone.mean_square, before.mean_square, after.mean_square)
     noise = noise_of(context, after)
-    held_alone, held_before, held_after = (context.held_out_error(c) for c in (alone, before, after))
+    held_alone = context.held_out_error(alone)
+    held_before, held_after = (rms(r) for r in held_out(context, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there

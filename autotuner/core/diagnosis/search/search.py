@@ -24,6 +24,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
     plainness,
     without_rounding,
 )
+from autotuner.core.diagnosis.search.judge import is_beside_free_load
 from autotuner.core.diagnosis.search.screen import screened, tangent_of
 
 if TYPE_CHECKING:
@@ -117,8 +118,16 @@ def better_of(context: FitContext, explanations: list[Fitted]) -> Fitted:
 
 
 def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> list[Fitted]:
-    """Return candidates by that, the best first, the plainer one where that is the same."""
-    return without_rounding(candidates, context.on_both_parts, plainness)
+    """Return candidates by that, the best first, the plainer one where that is the same.
+
+    Where the best one has a load of free shape beside another effect, its error on the other part is that of the load:
+    those that have one are ranked by the criterion.
+    """
+    ranked = without_rounding(candidates, context.on_both_parts, plainness)
+    if not ranked or not is_beside_free_load(ranked[0]):
+        return ranked
+    free = [c for c in ranked if is_beside_free_load(c)]
+    return [*context.by_criterion(free, min(map(context.colour, free))), *(c for c in ranked if c not in free)]
 
 
 def refined(context: FitContext, candidate: Fitted) -> Fitted:

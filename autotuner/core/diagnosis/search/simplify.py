@@ -1,6 +1,7 @@
 """An explanation made plain: of two that follow a record about as well, the plainer one, by the criterion.
 
 pair of lags -> one lag      form of friction with two numbers -> plain play
+kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
 
 Two are made richer: stores that overflow -> stores of any shape, whose search needs these to begin from; and a pair of
@@ -36,6 +37,8 @@ STRONG = 10.0
 """Improvement required of a drift shaped like the response: very strong evidence (Kass, Raftery 1995)."""
 THIRD = (0.05, 0.2)
 """Initial guesses of a third lag, relative to the sum of the two."""
+FLAT = 0.05
+"""Ratio of two gains of an actuator under which the smaller one is zero."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -74,6 +77,18 @@ def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effec
         return chosen
     play = _exchanged(chosen, rich, plain, [_width_of_play(rich, _values_of(chosen, rich))])
     return _plainer(context, chosen, play)
+
+
+def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with a limit of the actuator where its gain on one side of a kink is zero."""
+    kink = next((e for e in chosen.problem.effects if e.form == "kink elsewhere"), None)
+    ratio = next((abs(sizes["ratio"]) for sizes in chosen.sizes() if "kink" in sizes), 1.0)
+    side = "high" if ratio < FLAT else "low"
+    limit = next((e for e in effects if e.name == "saturation" and e.form == side), None)
+    if kink is None or limit is None or FLAT <= ratio <= 1.0 / FLAT:
+        return chosen
+    (at,) = _values_of(chosen, kink)
+    return _plainer(context, chosen, _exchanged(chosen, kink, limit, [1.0 - at if side == "high" else at]))
 
 
 def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

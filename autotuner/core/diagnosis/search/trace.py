@@ -55,6 +55,7 @@ from autotuner.core.diagnosis.search.simplify import (
     simplest,
     with_best_moment,
     with_own_shapes,
+    with_plain_limit,
     with_plain_play,
     with_plain_step,
 )
@@ -165,7 +166,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
-    chosen = with_own_shapes(context, chosen)
+    chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
     # Moves that are late by times of their own: where no further move separates the two, both are reported.
     pool += with_own_times(context, base, PAIR) if FLOW in chosen.names and not late else []
     closest = closest_first([*pool, base.best])[0]

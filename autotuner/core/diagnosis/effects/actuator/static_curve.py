@@ -37,6 +37,8 @@ TURNS_OF_ODD = 3
 """Most turns of an odd curve: one at zero, and one in each half."""
 STRAIGHT = 0.02
 """Share of the largest bend up to which a curve is straight: an odd one is so at zero, but for rounding."""
+ROUNDING = 1e-9
+"""Share of the slope up to which a bend over the range is rounding: an odd curve about zero has none."""
 LATER = 0.1
 """Penalty that selects the smooth curve where steps of unequal size fit equally: the curve is simpler."""
 
@@ -73,7 +75,8 @@ def _curve(knots: FloatArray, basis: FloatArray, form: str, turns: int = 1) -> E
         x = _positions(knots, basis, c, g)
         powers = np.column_stack([knots**n for n in (1, 2, 3)])
         slope, square, third = np.linalg.lstsq(powers, x - np.interp(0.0, knots, x), rcond=None)[0].tolist()
-        return {"curvature": square, "third": third, "slope_at_rest": slope}
+        rounding = ROUNDING * abs(slope) / float(np.abs(knots).max())
+        return {"curvature": square if abs(square) > rounding else 0.0, "third": third, "slope_at_rest": slope}
 
     return Effect(
         "static_nonlinearity",

@@ -9,7 +9,6 @@ With `w` the response of the process of unit gain to the input `v`, both as devi
                         + c1 v/(Ts s + 1) + c2 v/(q Ts s + 1)   heat that spreads: many modes, for which two stand
     extra_lag           G(s)/(Tx s + 1)
     inverse_response    + c dw/dt
-    gain_drift          + c G[v t]
     not_settled         + the motion from an initial state
 
 (the last from any textbook on linear systems; the first as in Morari and Zafiriou, Robust Process Control, 1989.)
@@ -23,12 +22,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time
 from autotuner.core.diagnosis.effects.process.nonlinear_losses import losses
 from autotuner.core.diagnosis.effects.process.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.process.stepping import stepped, two_speeds
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
-from autotuner.core.model.zoh_input import HeldInput, unit_step
+from autotuner.core.model.zoh_input import unit_step
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
-DRIFT_PIECES = 80
-"""Steps in which a gain that changes with time is written."""
 BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
 """Initial guesses of limits: below the highest output, in swings, and at quantiles of the response."""
 THIRD = (0.1, 0.35)
@@ -57,7 +55,7 @@ def process_effects(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
         _unequal_lags(dataset),
         *_slow_mode(dataset),
         _inverse_response(),
-        _gain_drift(dataset),
+        *gains_in_time(dataset),
         _not_settled(),
     )
 
@@ -220,34 +218,6 @@ def third_lag(dataset: Dataset, base: Fitted) -> Effect:
         response=response,
         makes_late=True,
     )
-
-
-def _gain_drift(dataset: Dataset) -> Effect:
-    span = dataset.span_s
-
-    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(times_time(view.position, span))]
-
-    return Effect(
-        "gain_drift",
-        Place.PROCESS,
-        (),
-        [()],
-        lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
-        columns=columns,
-        group="gain in time",
-    )
-
-
-def times_time(held: HeldInput, span_s: float) -> HeldInput:
-    """Return the input multiplied by time over the length of the record, in small steps about their middle."""
-    piece = (span_s - held.times[0]) / DRIFT_PIECES
-    end = max(span_s, float(held.times[-1]) + piece)
-    edges = np.union1d(held.times, np.arange(held.times[0], end, piece))
-    level = held.at(edges)
-    middle = (edges + np.append(edges[1:], end)) / 2.0
-    levels = level * middle / span_s
-    return HeldInput(edges, levels - levels[0])
 
 
 def _not_settled() -> Effect:

@@ -1,0 +1,133 @@
+"""A gain of the process that changes with time.
+
+    + c G[v s(t)],   s = t                  straight
+                         1 - e^(-t/tau)     settling: fouling that is removed as fast as it comes
+                         step(t - ts)       jump
+                         sum_j c_j H_j(t)   free: straight pieces between a few knots
+
+with `v` the input where it arrives: the dead time is before the process. (Kern, Seaton, British Chemical Engineering 4,
+1959, for the form that settles.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.free_forms import by_chance, moment_of
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.model.arrays import FloatArray
+
+    Curve = Callable[[FloatArray], FloatArray]
+
+PIECES = 100
+"""Steps in which a curve of time is written."""
+KNOTS, MOMENTS = 4, tuple(np.linspace(0.08, 0.92, 12).tolist())
+"""Knots of a free gain; starts of the time of a jump, as shares of the fitted part."""
+SETTLING = (0.1, 0.25, 0.6)
+"""Starts of the time constant, as shares of the record."""
+
+
+def gains_in_time(dataset: Dataset) -> tuple[Effect, ...]:
+    """Return the forms."""
+    return _straight(dataset), _settling(dataset), _free(dataset), _jump(dataset)
+
+
+def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:
+    """Return an input multiplied by a curve of time, in small steps about their middle, and at some further times."""
+    piece = (span_s - held.times[0]) / PIECES
+    end = max(span_s, float(held.times[-1]) + piece)
+    edges = np.union1d(held.times, np.append(np.arange(held.times[0], end, piece), also))
+    levels = held.at(edges) * curve((edges + np.append(edges[1:], end)) / 2.0)
+    return HeldInput(edges, levels - levels[0])
+
+
+def _changed(view: View, curve: Curve, also: Sequence[float] = ()) -> FloatArray:
+    """Return the response to the input, as it arrives, times a curve of time."""
+    arriving = view.position.shifted(np.array(view.delay_s))
+    return view.forced(times_curve(arriving, view.dataset.span_s, curve, also), delayed=False)
+
+
+def _straight(dataset: Dataset) -> Effect:
+    span = dataset.span_s
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
+        columns=lambda view, _p: [_changed(view, lambda t: t / span)],
+        group="gain in time",
+    )
+
+
+def _settling(dataset: Dataset) -> Effect:
+    span = dataset.span_s
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [_changed(view, lambda t: -np.expm1(-t / (math.exp(p[0]) * span)))]
+
+    def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {"relative_change": c[0] / g, "settles_over_s": math.exp(p[0]) * span}
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (Searched("log_settling", math.log(0.02), math.log(2.0), 1e-4),),
+        [(math.log(share),) for share in SETTLING],
+        sizes,
+        form="settling",
+        columns=columns,
+        group="gain in time",
+        means=lambda _p, c, g, _shape: 1.0 + c[0] / g > 0.0,
+    )
+
+
+def _free(dataset: Dataset) -> Effect:
+    at = np.linspace(0.0, dataset.fitted_until_s, KNOTS)
+
+    def hat(j: int) -> Curve:
+        return lambda t: np.interp(t, at, np.eye(KNOTS)[j])
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (),
+        [()],
+        lambda _p, c, g: {"relative_change": c[-1] / g, "largest_relative_change": max(c, key=abs) / g},
+        form=f"free, {KNOTS} knots",
+        columns=lambda view, _p: [_changed(view, hat(j)) for j in range(1, KNOTS)],
+        price=2.0,
+        group="gain in time",
+        means=lambda _p, c, g, _shape: all(1.0 + x / g > 0.0 for x in c),
+    )
+
+
+def _jump(dataset: Dataset) -> Effect:
+    span = dataset.span_s
+    moment, starts = moment_of(dataset, MOMENTS)
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        at_s = p[0] * span
+        return [_changed(view, lambda t: (t > at_s).astype(np.float64), (at_s,))]
+
+    return Effect(
+        "gain_drift",
+        Place.PROCESS,
+        (moment,),
+        [(s,) for s in starts],
+        lambda p, c, g: {"relative_change": c[0] / g, "at_s": p[0] * span},
+        form="jump",
+        columns=columns,
+        price=math.log(12.0),
+        group="gain in time",
+        means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and by_chance(dataset, p[0] * span),
+    )
