@@ -7,8 +7,8 @@ Each draw is a process (lags with dead time, D/T 0.05 to 10; integrating; invers
 of 0.3 to 3 % of the oscillation, and one circumstance. The product tunes it with default settings (`virtual_loop`).
 Gains are judged on the true loop, with half a sample for the hold of the controller: bad where Ms exceeds 2 or the loop
 is unstable, silently wrong where no warning was given. After a refusal its advice is followed once (`ADVICE`) on the
-same process, for which time has gone on, and the gains of the second tuning are judged alike. The last line tells how far a
-tuning moved the PV. Seeds below 100 were developed on.
+same process, for which time has gone on, and the gains of the second tuning are judged alike. The last line tells how
+far a tuning moved the PV. Seeds below 100 were developed on.
 `--record` appends each draw to a file of JSON lines, from which a later call takes what was drawn before.
 """
 
