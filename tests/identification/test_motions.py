@@ -15,7 +15,7 @@ from autotuner.core.model.step_responses import (
     PairAndLag,
     UnstableLag,
 )
-from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states, held_input, unit_step
+from autotuner.core.model.zoh_input import accumulate, accumulate_states, held_input, unit_step
 
 # Each motion with x' = A x + B u, y = C x, written down from its differential equation.
 CASES = {
@@ -114,17 +114,6 @@ def test_free_motions_solve_the_homogeneous_equation(name):
     for column in motion.free(t):
         left = column - basis @ np.linalg.lstsq(basis, column, rcond=None)[0]
         assert np.abs(left).max() <= 1e-9
-
-
-@pytest.mark.parametrize("name", list(CASES))
-def test_several_inputs_that_change_together_have_the_responses_of_each(course, name):
-    motion = CASES[name][0]
-    _, held, when = course
-    both = HeldInput(held.times, np.stack((held.levels, np.sin(held.levels))))
-    for k, levels in enumerate(both.levels):
-        one = motion.forced(HeldInput(held.times, levels), when)
-        for several, single in zip(motion.forced(both, when), one, strict=True):
-            assert np.array([rows[k] for rows in several]) == pytest.approx(np.array(single), rel=1e-12, abs=1e-12)
 
 
 def test_unit_step_starts_with_the_recording():

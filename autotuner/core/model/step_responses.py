@@ -20,8 +20,7 @@ cosine for a complex pair.
 The unstable lag is run backward from the end of the recording, in which direction it is stable; its state at the end
 is then one more unknown, which takes the place of the initial state.
 
-Times s, `m` s^2. Every method takes times as arrays of any shape and returns columns of that shape, after the axes of
-the input's levels before the last one, where it has several.
+Times s, `m` s^2. Every method takes times as arrays of any shape and returns columns of that shape.
 """
 
 from __future__ import annotations
@@ -64,8 +63,8 @@ class Lag:
         between = held.spans_s
         off = accumulate(np.exp(-between / self.T), -held.steps)
         index, since = held.locate(when)
-        fading = off.take(index, -1) * np.exp(-since / self.T)
-        response, slope = held.levels.take(index, -1) + fading, -fading / self.T
+        fading = off[index] * np.exp(-since / self.T)
+        response, slope = held.levels[index] + fading, -fading / self.T
         return ((response, slope), (slope, -slope / self.T)) if self.zero else ((response,), (slope,))
 
     def free(self, elapsed: FloatArray) -> Columns:
@@ -85,34 +84,29 @@ class Pair:
         """Return the response (and its slope), and their slopes."""
         between = held.spans_s
         p00, p01, p10, p11 = self.transition(between)
-        shifts = np.zeros((*held.levels.shape, 2))
-        np.negative(held.steps, out=shifts[..., 0])
+        shifts = np.zeros((between.size, 2))
+        shifts[:, 0] = -held.steps
         off = accumulate_states(((p00, p01), (p10, p11)), shifts)
         index, since = held.locate(when)
-        s, even, odd = self._parts(since)
-        z, slope = off[..., 0].take(index, -1), off[..., 1].take(index, -1)
-        z, slope = even * z + odd * (slope - s * z), even * slope + odd * (s * slope - z / self.m)
-        response = held.levels.take(index, -1) + z
+        p00, p01, p10, p11 = self.transition(since)
+        z, slope = off[index, 0], off[index, 1]
+        z, slope = p00 * z + p01 * slope, p10 * z + p11 * slope
+        response = held.levels[index] + z
         if not self.zero:
             return (response,), (slope,)
         return (response, slope), (slope, -(z + self.n * slope) / self.m)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motions from an initial deviation and from an initial slope."""
-        s, even, odd = self._parts(elapsed)
-        return even - s * odd, odd / math.sqrt(self.m)
+        p00, p01, _, _ = self.transition(elapsed)
+        return p00, p01 / math.sqrt(self.m)
 
     def transition(self, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the entries of `e^{A h}` for the state (deviation, slope)."""
-        s, even, odd = self._parts(h)
-        leaning = s * odd
-        return even - leaning, odd, odd / -self.m, even + leaning
-
-    def _parts(self, h: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return `s`, `c` and `o` of the module's formula."""
         s = -self.n / (2.0 * self.m)
         discriminant = s * s - 1.0 / self.m
-        return s, *(_real_poles(s, discriminant, self.m, h) if discriminant >= 0.0 else _complex(s, discriminant, h))
+        even, odd = _real_poles(s, discriminant, self.m, h) if discriminant >= 0.0 else _complex(s, discriminant, h)
+        return even - s * odd, odd, -odd / self.m, even + s * odd
 
 
 def _real_poles(s: float, discriminant: float, m: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -120,7 +114,7 @@ def _real_poles(s: float, discriminant: float, m: float, h: FloatArray) -> tuple
     slow = 1.0 / (m * fast)
     apart = slow - fast
     decay = np.exp(slow * h)
-    odd = decay * h if apart == 0.0 else decay * np.expm1(-apart * h) / -apart
+    odd = decay * h if apart == 0.0 else -decay * np.expm1(-apart * h) / apart
     return decay - 0.5 * apart * odd, odd
 
 
@@ -148,14 +142,12 @@ class EqualLags:
         P = np.zeros((self.n, self.n, held.times.size))
         for row, column in itertools.combinations_with_replacement(range(self.n), 2):
             P[column, row] = terms[column - row]
-        off = accumulate_states(P, np.repeat(-held.steps[..., None], self.n, axis=-1))
+        off = accumulate_states(P, np.repeat(-held.steps[:, None], self.n, axis=1))
         index, since = held.locate(when)
         terms = self._terms(since)
-        last, before = (
-            sum((terms[k] * off[..., index, left - 1 - k] for k in range(left)), np.zeros(since.shape))
-            for left in (self.n, self.n - 1)
-        )
-        return (held.levels[..., index] + last,), ((before - last) / self.T,)
+        last = sum(terms[k] * off[index, self.n - 1 - k] for k in range(self.n))
+        before = sum(terms[k] * off[index, self.n - 2 - k] for k in range(self.n - 1))
+        return (held.levels[index] + last,), ((before - last) / self.T,)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motions of the last lag from an initial deviation of each."""
@@ -190,12 +182,12 @@ class PairAndLag:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response and its slope."""
         P = self._transition(held.spans_s)
-        off = accumulate_states((P[:3], P[3:6], P[6:]), held.steps[..., None] * np.array([-1.0, 0.0, -1.0]))
+        off = accumulate_states((P[:3], P[3:6], P[6:]), np.outer(held.steps, (-1.0, 0.0, -1.0)))
         index, since = held.locate(when)
         p00, p01, _, _, _, _, q0, q1, q2 = self._transition(since)
-        z, slope, lagged = (off[..., k].take(index, -1) for k in range(3))
+        z, slope, lagged = off[index, 0], off[index, 1], off[index, 2]
         answer = q0 * z + q1 * slope + q2 * lagged
-        return (held.levels[..., index] + answer,), ((p00 * z + p01 * slope - answer) / self.T,)
+        return (held.levels[index] + answer,), ((p00 * z + p01 * slope - answer) / self.T,)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motions from an initial deviation and slope of the pair, and of the lag."""
@@ -223,23 +215,17 @@ class PairAndLag:
         return -1.0 / T, value
 
 
-def _accumulated(covered: FloatArray) -> FloatArray:
-    """Return the sum of all that was covered before each change."""
-    reached = np.zeros_like(covered)
-    np.cumsum(covered[..., :-1], axis=-1, out=reached[..., 1:])
-    return reached
-
-
 @dataclass(frozen=True, slots=True)
 class Integrator:
     """A pure integrator."""
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the integral of the input, and the input."""
-        reached = _accumulated(held.levels * np.append(held.spans_s[1:], 0.0))
+        between = np.diff(held.times)
+        reached = np.concatenate(([0.0], np.cumsum(held.levels[:-1] * between)))
         index, since = held.locate(when)
-        level = held.levels[..., index]
-        return (reached[..., index] + level * since,), (level,)
+        level = held.levels[index]
+        return (reached[index] + level * since,), (level,)
 
     def free(self, elapsed: FloatArray) -> Columns:  # noqa: ARG002 - the protocol's signature
         """Return nothing: its state is the offset."""
@@ -256,13 +242,15 @@ class LaggedIntegrator:
         """Return the response and its slope."""
         between = held.spans_s
         off = accumulate(np.exp(-between / self.T), -held.steps)
-        after = np.append(between[1:], 0.0)
-        reached = _accumulated(held.levels * after - self.T * off * np.expm1(-after / self.T))
+        covered = held.levels * np.append(between[1:], 0.0) - self.T * off * np.expm1(
+            -np.append(between[1:], 0.0) / self.T
+        )
+        reached = np.concatenate(([0.0], np.cumsum(covered[:-1])))
         index, since = held.locate(when)
-        slope_off = off[..., index]
+        slope_off = off[index]
         fading = np.expm1(-since / self.T)
-        level = held.levels[..., index]
-        response = reached[..., index] + level * since - self.T * slope_off * fading
+        level = held.levels[index]
+        response = reached[index] + level * since - self.T * slope_off * fading
         return (response,), (level + slope_off * (fading + 1.0),)
 
     def free(self, elapsed: FloatArray) -> Columns:
@@ -280,11 +268,11 @@ class UnstableLag:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response that ends in equilibrium with the last input, and its slope."""
         after = np.append(held.times[1:], np.inf)
-        back = accumulate(np.exp(-(after - held.times)[::-1] / self.T), -held.steps[..., ::-1])[..., ::-1]
+        back = accumulate(np.exp(-(after - held.times)[::-1] / self.T), -held.steps[::-1])[::-1]
         index = np.searchsorted(held.times, when, side="right")
         ahead = np.append(held.times, np.inf)[index] - when
-        off = np.insert(back, held.times.size, 0.0, -1)[..., index] * np.exp(-ahead / self.T)
-        return (off - np.insert(held.levels, 0, 0.0, -1)[..., index],), (off / self.T,)
+        off = np.append(back, 0.0)[index] * np.exp(-ahead / self.T)
+        return (off - np.concatenate(([0.0], held.levels))[index],), (off / self.T,)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motion that ends in a state away from equilibrium."""

@@ -12,7 +12,6 @@ thousands of samples has ten changes, and the cost of a response grows with the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class HeldInput:
     """An output that is constant between its changes.
 
@@ -32,9 +31,8 @@ class HeldInput:
     ----------
     times : array of float, shape (C,)
         Start, then the moments of change, s.
-    levels : array of float, shape (..., C)
-        Output from each of them on, as deviation from the first; `levels[0]` is 0. Several outputs that change at the
-        same times are rows of it, and so are the responses to them.
+    levels : array of float, shape (C,)
+        Output from each of them on, as deviation from the first; `levels[0]` is 0.
     slack_s : array of float, shape (C,), or None
         How long before its time each change may have happened, s; None when the times are exact.
     """
@@ -43,19 +41,19 @@ class HeldInput:
     levels: FloatArray
     slack_s: FloatArray | None = None
 
-    @cached_property
+    @property
     def steps(self) -> FloatArray:
         """Change at each of the times; the first is 0."""
         return _less_before(self.levels, 0.0)
 
-    @cached_property
+    @property
     def spans_s(self) -> FloatArray:
         """Time from the change before to each of the times, s; the first is 0."""
         return _less_before(self.times, self.times[0])
 
     def at(self, when: FloatArray) -> FloatArray:
         """Return the output at each time of `when`, as deviation from the first; before the start 0."""
-        level: FloatArray = self.levels[..., self.locate(when)[0]]
+        level: FloatArray = self.levels[self.locate(when)[0]]
         return level
 
     def shifted(self, by_s: FloatArray) -> HeldInput:
@@ -64,16 +62,15 @@ class HeldInput:
 
     def locate(self, when: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return, for each time of `when`, the change before it and the time since it, s; before the start 0 s."""
-        index = np.maximum(self.times.searchsorted(when, "right") - 1, 0)
-        return index, np.maximum(when - self.times.take(index), 0.0)
+        index = np.maximum(np.searchsorted(self.times, when, side="right") - 1, 0)
+        return index, np.maximum(when - self.times[index], 0.0)
 
 
 def _less_before(values: FloatArray, first: float) -> FloatArray:
     """Return `np.diff(values, prepend=first)`, which takes ten times as long for so few values."""
     result = values.copy()
-    along: FloatArray = result.T
-    along[1:] -= values.T[:-1]
-    along[0] -= first
+    result[1:] -= values[:-1]
+    result[0] -= first
     return result
 
 
@@ -111,11 +108,12 @@ def unit_step(start_s: float) -> HeldInput:
 
 
 def accumulate(p: FloatArray, g: FloatArray) -> FloatArray:
-    """Return `x_k = p_k x_{k-1} + g_k`, `x_{-1} = 0`, along the last axis of `g`; `p[0]` does not count."""
-    band = np.empty((2, g.shape[-1]), order="F")
+    """Return `x_k = p_k x_{k-1} + g_k`, `x_{-1} = 0`; `p[0]` does not count."""
+    band = np.empty((2, g.size), order="F")
     band[0] = 1.0
     band[1, :-1] = -p[1:]
-    return _solved(band, g)
+    result: FloatArray = scipy.linalg.blas.dtbsv(1, band, g, lower=1, diag=1)
+    return result
 
 
 def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatArray) -> FloatArray:
@@ -125,26 +123,18 @@ def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatAr
     ----------
     P : rows of S arrays of float, shape (C,)
         Transitions: each entry of the matrix at all steps.
-    g : array of float, shape (..., C, S)
+    g : array of float, shape (C, S)
         What is added at each step.
 
     Returns
     -------
-    array of float, shape (..., C, S)
+    array of float, shape (C, S)
     """
-    steps, size = g.shape[-2:]
+    steps, size = g.shape
     band = np.zeros((2 * size, steps * size), order="F")
     band[0] = 1.0
     for row in range(size):
         for column in range(size):
-            np.negative(P[row][column][1:], out=band[size + row - column, column : (steps - 1) * size : size])
-    return _solved(band, g.reshape(*g.shape[:-2], -1)).reshape(g.shape)
-
-
-def _solved(band: FloatArray, g: FloatArray) -> FloatArray:
-    """Return the solutions of a lower triangular band system with ones on the diagonal, along the last axis of `g`."""
-    if g.ndim == 1:
-        x: FloatArray = scipy.linalg.blas.dtbsv(len(band) - 1, band, g, lower=1, diag=1)
-        return x
-    rows: FloatArray = scipy.linalg.lapack.dtbtrs(band, g.reshape(-1, g.shape[-1]).T, uplo="L", diag="U")[0].T
-    return rows.reshape(g.shape)
+            band[size + row - column, column : (steps - 1) * size : size] = -P[row][column][1:]
+    x: FloatArray = scipy.linalg.blas.dtbsv(2 * size - 1, band, g.reshape(-1), lower=1, diag=1)
+    return x.reshape(steps, size)

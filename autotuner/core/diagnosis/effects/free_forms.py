@@ -58,10 +58,9 @@ def _free_load(dataset: Dataset, count: int) -> Effect:
     until = dataset.fitted_until_s
     times = np.linspace(0.0, until, PIECES, endpoint=False)
     curves = _splines(times / until, count)
-    loads = HeldInput(times, curves - curves[:, :1])
 
-    def columns(view: View, _p: Sequence[float]) -> FloatArray:
-        return view.forced(loads, delayed=False)
+    def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
+        return [view.forced(HeldInput(times, curve - curve[0]), delayed=False) for curve in curves]
 
     def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
         return {"range": float(np.ptp(np.array(c) @ curves)) / abs(g)}

@@ -95,7 +95,7 @@ class View:
         return self.position if self.entering is None else self.entering
 
     def forced(self, held: HeldInput, *, delayed: bool = True) -> FloatArray:
-        """Return the unit-gain response of the process to an input; to each of several, where its levels have rows."""
+        """Return the unit-gain response of the process to an input."""
         response: FloatArray = self.motion.forced(held, self.t - self.delay_s if delayed else self.t)[0][0]
         return response
 
@@ -162,7 +162,7 @@ class Effect:
     position: Callable[[HeldInput, Sequence[float], Dataset], HeldInput] | None = None
     transport: Callable[[HeldInput, Sequence[float], float, Dataset], HeldInput] | None = None
     response: Callable[[View, Sequence[float]], FloatArray] | None = None
-    columns: Callable[[View, Sequence[float]], Sequence[FloatArray] | FloatArray] | None = None
+    columns: Callable[[View, Sequence[float]], Sequence[FloatArray]] | None = None
     slopes: Callable[[View, Sequence[float]], FloatArray] | None = None
     load: Callable[[Sequence[float], Dataset], HeldInput] | None = None
     order: int | None = None

@@ -12,17 +12,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import scipy
 
 from autotuner.core.diagnosis.extended.effect import Effect, Searched, View
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.model.process import ProcessModel
-    from autotuner.core.model.step_responses import Columns
     from autotuner.core.model.structures import Structure
 
 SHORTEST, LONGEST = 0.05, 30.0
@@ -46,7 +43,7 @@ MOST_TRIES = 6
 """Halvings of a step that increases the misfit before the search ends: 1/64 of a step is negligible."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Extended:
     """A structure with effects on a recording.
 
@@ -78,7 +75,7 @@ class Extended:
         """Unit of the dead time in `theta`, s."""
         return self.dataset.span_s / 100.0
 
-    @cached_property
+    @property
     def searched(self) -> tuple[Searched, ...]:
         """All that is searched for, the process's part first."""
         interval, span = self.dataset.data.interval_s, self.dataset.span_s
@@ -93,12 +90,12 @@ class Extended:
     def split(self, theta: FloatArray) -> tuple[list[float], float, list[list[float]]]:
         """Return the shape, the dead time, s, and each effect's values."""
         size = len(self.structure.shape)
-        numbers = theta.tolist()
+        shape = np.exp(theta[:size]).tolist()
         values, at = [], size + 1
         for effect in self.effects:
-            values.append(numbers[at : at + len(effect.searched)])
+            values.append(theta[at : at + len(effect.searched)].tolist())
             at += len(effect.searched)
-        return [math.exp(value) for value in numbers[:size]], numbers[size] * self.unit_s, values
+        return shape, float(theta[size]) * self.unit_s, values
 
     def view(self, theta: FloatArray, rows: IntArray) -> View:
         """Return the view of the effects at some samples."""
@@ -120,23 +117,17 @@ class Extended:
         """Return the columns at some samples, and how many of them each effect added."""
         return self.columns_of(self.view(theta, rows), theta)
 
-    def columns_of(
-        self,
-        view: View,
-        theta: FloatArray,
-        response: Sequence[FloatArray] | None = None,
-        background: Sequence[FloatArray] | FloatArray | None = None,
-    ) -> tuple[FloatArray, list[int]]:
-        """Return the same of a view at `theta`; with the columns of the process and of the background where known."""
+    def columns_of(self, view: View, theta: FloatArray) -> tuple[FloatArray, list[int]]:
+        """Return the same of a view at `theta`."""
         _, _, values = self.split(theta)
-        columns = list(self.response(view, theta)[0] if response is None else response)
+        columns = self._response(view, values)
         counts = []
         for effect, p in zip(self.effects, values, strict=True):
             added = list(effect.columns(view, p)) if effect.columns is not None else []
             counts.append(len(added))
             columns += added
-        columns += list(self.background_of(view) if background is None else background)
-        return np.array(columns).T, counts
+        columns += self._background(view)
+        return np.column_stack(columns), counts
 
     def tangent(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns at the fitted samples, and the slopes of the simulated PV with all that is searched."""
@@ -144,15 +135,13 @@ class Extended:
         slopes = point.slopes()
         return point.columns, slopes if self.fixed is None else slopes[:, len(self.fixed) :]
 
-    def response(self, view: View, theta: FloatArray) -> tuple[Columns, Columns]:
-        """Return the columns of the process, and their slopes with time where no effect takes its place, 1/s."""
-        for effect, p in zip(self.effects, self.split(theta)[2], strict=True):
+    def _response(self, view: View, values: Sequence[Sequence[float]]) -> list[FloatArray]:
+        for effect, p in zip(self.effects, values, strict=True):
             if effect.response is not None:
-                return (effect.response(view, p),), ()
-        return view.motion.forced(view.input, view.t - view.delay_s)
+                return [effect.response(view, p)]
+        return list(view.motion.forced(view.input, view.t - view.delay_s)[0])
 
-    def background_of(self, view: View) -> list[FloatArray]:
-        """Return the columns of what the PV does besides."""
+    def _background(self, view: View) -> list[FloatArray]:
         columns = [np.ones(view.t.size)]
         if "drift" in self.background:
             columns.append(view.t / self.dataset.span_s)
@@ -181,14 +170,9 @@ def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], data
 
 def _from_state(view: View) -> list[FloatArray]:
     """Return the motions from an initial state, and the answer to an input before the record; again at each restart."""
-    starts, motion = np.array(view.dataset.restarts_s), view.motion
-    since = view.t - starts[starts.searchsorted(view.t, "right") - 1]
-    late = since - view.delay_s
-    if isinstance(motion, Lag | Pair):
-        step = np.where(late < 0.0, 0.0, 1.0 - motion.free(np.maximum(late, 0.0))[0])
-    else:
-        step = motion.forced(unit_step(0.0), late)[0][0]
-    return [*motion.free(since), step]
+    starts = np.array(view.dataset.restarts_s)
+    since = view.t - starts[np.searchsorted(starts, view.t, side="right") - 1]
+    return [*view.motion.free(since), view.motion.forced(unit_step(0.0), since - view.delay_s)[0][0]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,8 +337,7 @@ class _Point:
     def __init__(self, problem: Extended, theta: FloatArray) -> None:
         self.problem, self.theta = problem, theta
         self.view = problem.view(theta, problem.rows)
-        self.response = problem.response(self.view, theta)
-        self.columns, self.counts = problem.columns_of(self.view, theta, self.response[0])
+        self.columns, self.counts = problem.columns_of(self.view, theta)
         target = problem.dataset.data.pv[problem.rows]
         self.q, self.linear = solve_linear(self.columns, target)
         self.residual = target - self.q @ (self.q.T @ target)
@@ -389,17 +372,7 @@ class _Point:
                 )
                 return columns
             column += count
-        view = problem.view(theta, problem.rows)
-        background = self.columns[:, column:].T if k > len(problem.structure.shape) else None
-        return problem.columns_of(view, theta, self._later(view, k), background)[0]
-
-    def _later(self, view: View, k: int) -> list[FloatArray] | None:
-        """Return the columns of the process at another dead time by their slopes; None where these do not show them."""
-        moved = any(effect.transport or effect.load for effect in self.problem.effects)
-        if k != len(self.problem.structure.shape) or moved or not isinstance(view.motion, Pair):
-            return None  # the slope of one lag jumps, at the beginning of a record for one side of zero only
-        late_s = view.delay_s - self.view.delay_s
-        return [column - late_s * slope for column, slope in zip(*self.response, strict=False)] or None
+        return problem.columns(theta, problem.rows)[0]
 
     def _known(self, moved: FloatArray) -> set[int]:
         """Write the slopes that effects know at once; return which they are."""
@@ -463,7 +436,7 @@ def _step(
     for _ in range(MOST_TRIES):
         matrix = normal[np.ix_(free, free)] + damping * np.diag(scale[free])
         move = np.zeros(point.theta.size)
-        move[free] = -scipy.linalg.lapack.dposv(matrix, gradient[free])[1]
+        move[free] = -np.linalg.lstsq(matrix, gradient[free], rcond=None)[0]
         tried = _Point(point.problem, np.clip(point.theta + np.clip(move, -3.0, 3.0), low, high))
         if tried.misfit < point.misfit:
             return tried, max(damping * DAMPING_DOWN, 1e-9)

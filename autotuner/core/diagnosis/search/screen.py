@@ -51,17 +51,14 @@ class Tangent:
         Orthonormal basis of its columns and slopes on the screening samples.
     left : array of float, shape (N,)
         What they leave of the PV.
-    beside : array of float, shape (N, Q)
-        Orthonormal basis of its slopes and its background alone.
-    left_beside : array of float, shape (N,)
-        What these leave of the PV.
+    slopes : array of float, shape (N, P)
+        The slopes alone.
     """
 
     base: Fitted
     basis: FloatArray
     left: FloatArray
-    beside: FloatArray
-    left_beside: FloatArray
+    slopes: FloatArray
 
 
 def tangent_of(context: FitContext, base: Fitted) -> Tangent:
@@ -69,15 +66,8 @@ def tangent_of(context: FitContext, base: Fitted) -> Tangent:
     problem = replace(base.problem, rows=context.screen)
     columns, slopes = problem.tangent(base.theta)
     pv = context.dataset.data.pv[context.screen]
-    background = columns[:, problem.structure.gains + sum(base.counts) :]
-    basis, beside = (solve_linear(np.hstack((some, slopes)), pv)[0] for some in (columns, background))
-    return Tangent(base, basis, _beyond(basis, pv), beside, _beyond(beside, pv))
-
-
-def _beyond(basis: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the part of values, or of columns of them, that is orthogonal to a basis."""
-    part: FloatArray = values - basis @ (basis.T @ values)
-    return part
+    basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
+    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes)
 
 
 def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
@@ -117,8 +107,8 @@ def _score_of_change(
     theta: FloatArray,
     _values: Sequence[float],
 ) -> float:
-    columns = problem.columns_of(problem.view(theta, context.screen), theta, background=())[0]
-    left = residual_after(_beyond(tangent.beside, columns), tangent.left_beside)
+    columns = problem.columns(theta, context.screen)[0]
+    left = residual_after(np.hstack((columns, tangent.slopes)), context.dataset.data.pv[context.screen])
     return float(left @ left) / left.size
 
 
@@ -130,7 +120,9 @@ def _score_of_columns(
     added = effect.columns(view, values)
     if not len(added):
         return np.inf
-    left = residual_after(_beyond(tangent.basis, np.array(added).T), tangent.left)
+    columns = np.column_stack(list(added))
+    columns = columns - tangent.basis @ (tangent.basis.T @ columns)
+    left = residual_after(columns, tangent.left)
     return float(left @ left) / left.size
 
 
