@@ -302,6 +302,7 @@ def test_two_names_are_separated_by_the_experiment_of_the_pair_in_either_order()
     [(1.9, 1.0, 0.1, True), (2.1, 1.0, 0.1, False), (1.9, 0.1, 1.0, True), (2.1, 0.1, 1.0, False)],
 )
 def test_an_explanation_is_as_good_later_as_it_is_on_the_fitted_part(later, fitted, noise, expected):
-    context = SimpleNamespace(held_out_error=lambda _chosen: later)
-    found = SimpleNamespace(noise=noise, chosen=SimpleNamespace(rms=fitted))
+    context = SimpleNamespace(held_out_residual=lambda _chosen: np.array([later, -later]))
+    chosen = SimpleNamespace(rms=fitted, problem=SimpleNamespace(effects=()))
+    found = SimpleNamespace(noise=noise, chosen=chosen)
     assert _is_as_good_later(context, found) is expected
