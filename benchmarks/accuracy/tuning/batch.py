@@ -13,6 +13,7 @@ import csv
 import math
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,13 +63,14 @@ def judged(process, gains, Pu, optimum):
     return (iae(process, numbers, Pu) / optimum if stable else math.inf), (Ms if stable else math.inf), stable
 
 
-def by_robust_design(process, model, Pu, optima, basis=None):
-    """Yield name and judgement of the robust designs from a model."""
+def by_robust_design(process, model, Pu, optima, basis=None, least_dead_time=0.0):
+    """Yield name and judgement of robust designs from a model, which gets the least dead time as in a tuning."""
     kinds = [("robust", FILTERED, "filtered", (model, None)), ("robust, no filter", IDEAL, "ideal", (model, None))]
     if basis is not None and basis.covariance is not None:
         kinds.append(("robust, 95 % region", FILTERED, "filtered", (basis.known_as or model, basis.covariance)))
     for name, requirements, kind, (known, region) in kinds:
-        yield name, judged(process, design(known, requirements, region).gains, Pu, optima[process.name, kind])
+        held = known if least_dead_time < known.D else replace(known, D=least_dead_time)
+        yield name, judged(process, design(held, requirements, region).gains, Pu, optima[process.name, kind])
 
 
 def by_rules(process, model, point, Pu, optima):
@@ -94,7 +96,8 @@ def from_relay(process, level, optima, sigma):
         return {"refused": analysis.identification.verdict.code}, 0.0
     cycle = analysis.identification.limit_cycle
     point = None if cycle is None else UltimatePoint(cycle.Ku, cycle.Pu)
-    found = dict(by_robust_design(process, model, Pu, optima, basis_of(analysis.identification)))
+    half_s = record.sample_interval_s / 2.0
+    found = dict(by_robust_design(process, model, Pu, optima, basis_of(analysis.identification), half_s))
     found.update(by_rules(process, model, point, Pu, optima))
     return found, oscillation_rms(record)
 
