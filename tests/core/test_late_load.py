@@ -73,6 +73,7 @@ def test_white_noise_and_a_still_pv_do_not_wander():
     found = [largest_wander(t, rng.standard_normal(50)) for _ in range(400)]
     assert np.mean(np.array(found) > 0.0) < 0.05
     assert largest_wander(t, np.full(50, 20.0)) == 0.0
+    assert largest_wander(np.array([]), np.array([])) == 0.0  # a record that begins with the relay
     assert largest_wander(t, 20.0 + 0.1 * t) == 0.0
 
 

@@ -293,7 +293,7 @@ def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, Bo
 
 def _is_as_good_later(context: FitContext, found: Trace) -> bool:
     """Return whether the explanation is as good on the held-out part as on the other, or leaves noise there."""
-    return rms(held_out(context, found.chosen, found.chosen)[1]) <= LATE * max(found.noise, found.chosen.rms)
+    return rms(held_out(context, found.chosen)[0]) <= LATE * max(found.noise, found.chosen.rms)
 
 
 def _share_that_decides(context: FitContext, found: Trace) -> float:

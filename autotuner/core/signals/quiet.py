@@ -170,7 +170,7 @@ def largest_wander(t: FloatArray, pv: FloatArray) -> float:
     t, pv : array of float, shape (N,)
         Samples of a loop at rest, s and PV units.
     """
-    if np.ptp(tame := without_wild(pv)) > 0.0:
+    if t.size >= FEWEST_FOR_COLOUR and np.ptp(tame := without_wild(pv)) > 0.0:
         t, pv = t[np.isin(pv, tame)], tame
     if t.size < FEWEST_FOR_COLOUR:
         return 0.0

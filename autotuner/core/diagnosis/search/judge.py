@@ -120,14 +120,14 @@ def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) 
     return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
 
 
-def held_out(context: FitContext, before: Fitted, after: Fitted) -> list[FloatArray]:
-    """Return the residuals of both on the part not fitted, less those of a free load beside another effect in `after`.
+def held_out(context: FitContext, *candidates: Fitted) -> list[FloatArray]:
+    """Return the residuals on the part not fitted, less that of a free load beside another effect in the last one.
 
     A load of free shape predicts nothing after the fitted part. Its error there would hide what the other effect does.
     """
-    if not is_beside_free_load(after):
-        return [context.held_out_residual(candidate) for candidate in (before, after)]
-    return [without_free_load(context, candidate) for candidate in (before, after)]
+    if not is_beside_free_load(candidates[-1]):
+        return [context.held_out_residual(candidate) for candidate in candidates]
+    return [without_free_load(context, candidate) for candidate in candidates]
 
 
 def is_beside_free_load(candidate: Fitted) -> bool:

@@ -82,7 +82,7 @@ def recentred(
 
 
 def shifted_in_vain(before: tuple[Relay, float], after: tuple[Relay, float], rest: tuple[float, float]) -> bool:
-    """Return whether the equilibrium did not follow the reference: the process integrates, and has none of that kind.
+    """Return whether the output in equilibrium did not follow the reference, as in a process that integrates.
 
     Parameters
     ----------
@@ -124,7 +124,8 @@ NEAR = 1.4
 LARGEST_STEP = 4.0
 """Largest ratio of two successive relay amplitudes."""
 NEAREST_TO_LIMIT = 0.5
-"""Largest amplitude of the PV for a strengthened relay, as a share of the distance to the nearer PV limit."""
+"""Largest amplitude of the PV for a strengthened relay, as a share of the distance to the nearer PV limit; and largest
+distance of a moved reference from rest, as a share of that of the limit."""
 SAME_PLACE = 0.25
 """Distance of the equilibrium from the output at rest, as a share of the swing, up to which the rest is accepted."""
 WORTHWHILE = 1.1

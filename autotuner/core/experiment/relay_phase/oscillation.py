@@ -197,7 +197,7 @@ class Oscillation:
         return self._rested.output, self._rested.quiet.pv
 
     def _is_shifted_in_vain(self, duty: float) -> bool:
-        """Return whether another reference made no difference: a third one would only carry the PV further away."""
+        """Return whether another reference made no difference: a further one would only carry the PV away."""
         before = self._shifted_from
         return before is not None and shifted_in_vain(before, (self.relay, duty), self._rest)
 
