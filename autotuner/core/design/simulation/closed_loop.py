@@ -18,6 +18,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import mul
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -131,15 +132,16 @@ def predict(
     count = max(2, math.ceil(scenario.duration_s / h) + 1)
     act: Actuator = actuator or (lambda output: output)
     process = _HeldProcess(model, h)
-    measured_noise = np.zeros(count) if noise is None else np.resize(noise, count)
+    measured_noise = [0.0] * count if noise is None else np.resize(noise, count).tolist()
     state = started(settings, -h, 0.0, 0.0, 0.0)
-    pv, output = np.empty(count), np.empty(count)
+    pv, output = [], []  # numbers of Python: one at a time they are cheaper than those of an array
     for k in range(count):
-        pv[k] = process.pv + measured_noise[k]
-        state = step(settings, state, k * h, float(pv[k]), scenario.set_point_step)
-        output[k] = state.output
+        pv.append(process.pv + measured_noise[k])
+        state = step(settings, state, k * h, pv[k], scenario.set_point_step)
+        output.append(state.output)
         process.advance(act(state.output) + scenario.load_step)
-    return Prediction(np.arange(count, dtype=np.float64) * h, np.full(count, scenario.set_point_step), pv, output)
+    set_point = np.full(count, scenario.set_point_step)
+    return Prediction(np.arange(count, dtype=np.float64) * h, set_point, np.array(pv), np.array(output))
 
 
 class _HeldProcess:
@@ -153,17 +155,18 @@ class _HeldProcess:
         whole = math.floor(model.D / h)
         rest = model.D - whole * h
         (P1, g1), (P2, g2) = _held(A, B, rest), _held(A, B, h - rest)
-        self.moves, self.reads = np.column_stack((P2 @ P1, P2 @ g1, g2)), np.concatenate((C, (0.0, E)))
-        self.state = np.zeros(B.size + 2)
+        self.moves: list[list[float]] = np.column_stack((P2 @ P1, P2 @ g1, g2)).tolist()
+        self.reads = [*C.tolist(), 0.0, E]
+        self.state = [0.0] * B.size
         self.inputs = deque([0.0] * (whole + 2), maxlen=whole + 2)
         self.pv = 0.0
 
     def advance(self, u: float) -> None:
         """Move one sample on, under the input `u` from now on."""
         self.inputs.append(u)
-        self.state[-2], self.state[-1] = self.inputs[0], self.inputs[1]
-        self.state[:-2] = self.moves @ self.state
-        self.pv = float(self.reads @ self.state)
+        before = (*self.state, self.inputs[0], self.inputs[1])
+        self.state = [sum(map(mul, row, before)) for row in self.moves]
+        self.pv = sum(map(mul, self.reads, (*self.state, *before[-2:])))
 
 
 def _state_space(model: ProcessModel) -> tuple[FloatArray, FloatArray, FloatArray, float]:

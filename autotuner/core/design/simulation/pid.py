@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from autotuner.errors import InputError
 
@@ -68,8 +68,7 @@ class PidSettings:
         return math.sqrt(self.gains.Ti) * math.sqrt(self.gains.Td) if self.gains.Td > 0.0 else self.gains.Ti
 
 
-@dataclass(frozen=True, slots=True)
-class PidState:
+class PidState(NamedTuple):
     """State of a controller between two samples.
 
     Attributes
