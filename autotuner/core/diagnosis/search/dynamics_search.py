@@ -2,7 +2,8 @@
 
 A right half-plane zero, or a further lag, delays a response. The process alone absorbs the delay as dead time, and from
 there no descent direction exists: with all of the delay in the dead time, a small zero changes nothing. The search
-therefore starts with a part of the dead time too.
+therefore starts with a part of the dead time too. The opposite holds for a dead time that varies: the process alone may
+come closest without any, and from there a variation of it changes nothing, so that the search starts with more.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
-from autotuner.core.diagnosis.search.search import COARSE_STEPS, refined, within
+from autotuner.core.diagnosis.search.search import COARSE_STEPS, extend, refined, within
 from autotuner.core.model.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 
 KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
+ADDED = (0.3, 0.7)
+"""Dead times to begin with where the process alone has none, in typical times between moves of the output."""
+NO_DELAY = 0.5
+"""Dead time, in samples, that counts as none."""
 
 
 def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -37,6 +42,26 @@ def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effec
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
     found = [_from_less(context, pair, effect) for effect in within(context.dataset.budget, late)]
     return [f for f in found if is_physical(f) and f.rms < pair.rms]
+
+
+def with_varying_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return each process without dead time with each effect that varies one, fitted on all samples."""
+    origins = [o for o in base.origins if o.problem.fixed is None and _has_no_delay(o)]
+    varying = [e for e in effects if e.transport is not None]
+    if not origins or not varying:
+        return []
+    return extend(context, [_with_dead_time(context, o, added) for o in origins for added in ADDED], varying)
+
+
+def _has_no_delay(candidate: Fitted) -> bool:
+    _, delay_s, _ = candidate.problem.split(candidate.theta)
+    return delay_s < NO_DELAY * candidate.problem.dataset.data.interval_s
+
+
+def _with_dead_time(context: FitContext, origin: Fitted, added: float) -> Fitted:
+    theta = origin.theta.copy()
+    theta[len(origin.problem.structure.shape)] = added
+    return fit(replace(origin.problem, rows=context.coarse), theta, 0)
 
 
 def _from_less(context: FitContext, pair: Fitted, effect: Effect) -> Fitted:

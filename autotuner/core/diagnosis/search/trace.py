@@ -21,7 +21,7 @@ from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
-from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time
+from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time, with_varying_dead_time
 from autotuner.core.diagnosis.search.friction_search import (
     that_stick,
     with_friction,
@@ -181,8 +181,8 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
         friction += search(context, base, effects)
         if any(is_noise(context, candidate) for candidate in friction):
             return friction, True
-    others = [*with_process_friction(context, base.best), *with_less_dead_time(context, base, effects)]
-    return [*friction, *others, *with_positions(context, base)], False
+    late = [*with_less_dead_time(context, base, effects), *with_varying_dead_time(context, base, effects)]
+    return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 
 def _how_far(context: FitContext, best: Fitted) -> str:
