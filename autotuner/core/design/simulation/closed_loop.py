@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.design.simulation.pid import PidSettings, started, step
+from autotuner.core.design.simulation.pid import Interval, PidSettings, started
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -133,11 +133,11 @@ def predict(
     act: Actuator = actuator or (lambda output: output)
     process = _HeldProcess(model, h)
     measured_noise = [0.0] * count if noise is None else np.resize(noise, count).tolist()
-    state = started(settings, -h, 0.0, 0.0, 0.0)
+    state, interval = started(settings, -h, 0.0, 0.0, 0.0), Interval.of(settings, h)
     pv, output = [], []  # numbers of Python: one at a time they are cheaper than those of an array
     for k in range(count):
         pv.append(process.pv + measured_noise[k])
-        state = step(settings, state, k * h, pv[k], scenario.set_point_step)
+        state = interval.after(state, k * h, pv[k], scenario.set_point_step)
         output.append(state.output)
         process.advance(act(state.output) + scenario.load_step)
     set_point = np.full(count, scenario.set_point_step)

@@ -99,7 +99,7 @@ class PidState(NamedTuple):
 
 def started(settings: PidSettings, t: float, pv: float, set_point: float, output: float) -> PidState:
     """Return the state of a controller that takes over at rest, with the present output."""
-    return PidState(t, pv, set_point, pv, 0.0, output - _proportional(settings, set_point, pv), output)
+    return PidState(t, pv, set_point, pv, 0.0, output - settings.gains.Kp * (settings.gains.b * set_point - pv), output)
 
 
 def step(settings: PidSettings, state: PidState, t: float, pv: float, set_point: float) -> PidState:
@@ -116,39 +116,83 @@ def step(settings: PidSettings, state: PidState, t: float, pv: float, set_point:
     pv, set_point : float
         Process variable and set point, PV units.
     """
-    h = t - state.t
-    filtered, slope = _filtered(settings.gains.Tf, state, pv, h)
-    mean_error = state.set_point - (state.filtered + filtered) / 2.0
-    integral = state.integral + settings.gains.Ki * mean_error * h
-    filter_s = settings.gains.derivative_filter_s
-    share = 1.0 - math.exp(-h / filter_s) if filter_s > 0.0 else 1.0
-    damped = state.damped + share * (slope - state.damped)
-    wanted = _proportional(settings, set_point, filtered) + integral + _derivative(settings, damped)
-    output = _limited(settings, state.output, wanted, h)
-    tracking = 0.0 if settings.gains.Ki == 0.0 else min(1.0, h / settings.tracking_time) * (output - wanted)
-    return PidState(t, pv, set_point, filtered, slope, integral + tracking, output, damped)
+    return Interval.of(settings, t - state.t).after(state, t, pv, set_point)
 
 
-def _proportional(settings: PidSettings, set_point: float, filtered: float) -> float:
-    return settings.gains.Kp * (settings.gains.b * set_point - filtered)
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A controller over one interval between samples: for many alike, its numbers are computed once.
+
+    Attributes
+    ----------
+    settings : PidSettings
+        Gains and limits.
+    h : float
+        Length of the interval, s.
+    Kp, bKp, Kd, mean_Kih : float
+        Gains of the filtered PV, the set point, the slope, and the sum of the errors at both ends.
+    filtered, slope : (float, float)
+        Rows of the matrix above, which moves the difference of filtered PV and slope from the ramp response.
+    damping, unwinding : float
+        Share of its way that the derivative's own filter goes, and of the excess that the anti-windup takes back.
+    reach : float
+        Largest change of the output, output units.
+    """
+
+    settings: PidSettings
+    h: float
+    Kp: float
+    bKp: float
+    Kd: float
+    mean_Kih: float
+    filtered: tuple[float, float]
+    slope: tuple[float, float]
+    damping: float
+    unwinding: float
+    reach: float
+
+    @classmethod
+    def of(cls, settings: PidSettings, h: float) -> Interval:
+        """Return the numbers of an interval of `h` seconds."""
+        gains = settings.gains
+        filter_s = gains.derivative_filter_s
+        filtered, slope = _motion_of_filter(gains.Tf, h)
+        return cls(
+            settings,
+            h,
+            gains.Kp,
+            gains.Kp * gains.b,
+            gains.Kd,
+            gains.Ki * h / 2.0,
+            filtered,
+            slope,
+            damping=1.0 - math.exp(-h / filter_s) if filter_s > 0.0 else 1.0,
+            unwinding=min(1.0, h / settings.tracking_time) if gains.Ki else 0.0,
+            reach=settings.slew_per_s * h,
+        )
+
+    def after(self, state: PidState, t: float, pv: float, set_point: float) -> PidState:
+        """Return the state after a sample, see `step`."""
+        m = (pv - state.pv) / self.h
+        lag = self.settings.gains.Tf * m
+        x, y = state.filtered - state.pv + lag, state.slope - m
+        filtered = pv - lag + self.filtered[0] * x + self.filtered[1] * y
+        slope = m + self.slope[0] * x + self.slope[1] * y
+        integral = state.integral + self.mean_Kih * (state.set_point - state.filtered + state.set_point - filtered)
+        damped = state.damped + self.damping * (slope - state.damped)
+        wanted = self.bKp * set_point - self.Kp * filtered + integral - self.Kd * damped
+        before = state.output
+        low, high = max(before - self.reach, self.settings.low), min(before + self.reach, self.settings.high)
+        output = min(max(wanted, low), high)
+        unwound = integral + self.unwinding * (output - wanted) if output != wanted else integral
+        return PidState(t, pv, set_point, filtered, slope, unwound, output, damped)
 
 
-def _derivative(settings: PidSettings, damped: float) -> float:
-    return -settings.gains.Kd * damped
-
-
-def _limited(settings: PidSettings, before: float, wanted: float, h: float) -> float:
-    reach = settings.slew_per_s * h
-    return min(max(wanted, before - reach, settings.low), before + reach, settings.high)
-
-
-def _filtered(Tf: float, state: PidState, pv: float, h: float) -> tuple[float, float]:
-    """Return the filtered PV and its derivative at the end of an interval over which the PV was straight."""
-    m = (pv - state.pv) / h
+def _motion_of_filter(Tf: float, h: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the rows of the matrix by which the filter moves over an interval in which the PV is straight."""
     a = h / Tf if Tf > 0.0 else math.inf
     decay = math.exp(-a)
     if decay == 0.0:
-        return pv - Tf * m, m
+        return (0.0, 0.0), (0.0, 0.0)
     c, s = decay * math.cos(a), decay * math.sin(a)
-    x, y = state.filtered - (state.pv - Tf * m), state.slope - m
-    return pv - Tf * m + (c + s) * x + Tf * s * y, m - 2.0 * s / Tf * x + (c - s) * y
+    return (c + s, Tf * s), (-2.0 * s / Tf, c - s)
