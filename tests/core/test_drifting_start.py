@@ -38,7 +38,7 @@ def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000, *,
     """Run an experiment as the runtime does, the running model included; return it with its recording."""
     sensors = [Noise(sigma, seed=3)] if sigma else []
     loop = SteppedPlant(plant, output0=OUTPUT0, pv0=PV0, loads=loads, offsets=offsets, sensors=sensors)
-    experiment, samples, output = Experiment(settings, OUTPUT0), [], OUTPUT0
+    experiment, samples, output, model = Experiment(settings, OUTPUT0), [], OUTPUT0, None
     for k in range(longest):
         t = k * settings.sample_time_s
         loop.advance(t)
@@ -50,7 +50,8 @@ def conduct(plant, settings, loads=(), offsets=(), sigma=0.0, longest=20_000, *,
         samples.append(Sample(t, pv, output))
         if command.estimate is not None and command.estimate.half_period >= 2:
             seen = experiment.settings_so_far()
-            model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"])
+            begun = None if model is None else model.model
+            model = running_model(Recording.from_samples(samples, seen), seen["noise_sigma"], begun)
             error = np.inf if model is None else model.relative_error
             experiment.inform(error, integrating=integrating)
     raise AssertionError("the experiment did not end")

@@ -1,7 +1,7 @@
 """Running model during the relay phase: computed after each half period, outside of the control loop.
 
-The learned correction answers first; least squares starts from its model, and answers after it. A static gain that the
-oscillation does not show comes from the half period before.
+The learned correction answers first; least squares answers after it, and starts from its own model of the half period
+before, at first from the learned one. A static gain that the oscillation does not show comes from there too.
 
 Invariants: the control loop never waits for it; while one estimate is computed no other is begun, the latest
 record is taken next; it only informs, the experiment decides.
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
-    Gain = tuple[float, float]
-    """Static gain and its standard error, PV/output."""
-
 FEWEST_HALF_PERIODS = 2
 """Half periods, three switches, before a model is tried."""
 
@@ -52,26 +49,30 @@ class Estimated(Protocol):
 
 async def estimate_while_running(tuning: Estimated, pool: ComputePool) -> None:
     """Follow a tuning to its end; after each half period make models, and pass the experiment their uncertainty."""
-    fitted_until_s, gain = 0.0, None
+    fitted_until_s, known = 0.0, None
     async for event in tuning.follow(samples=False):
         outdated = event.t < fitted_until_s
         if isinstance(event, EstimateUpdated) and event.half_period >= FEWEST_HALF_PERIODS and not outdated:
-            fitted_until_s, gain = await _estimate(tuning, pool, gain)
+            fitted_until_s, known = await _estimate(tuning, pool, known)
 
 
-async def _estimate(tuning: Estimated, pool: ComputePool, gain: Gain | None) -> tuple[float, Gain | None]:
-    """Compute models of the record so far; return the time of the last one, and the present static gain."""
+async def _estimate(
+    tuning: Estimated, pool: ComputePool, known: RunningModel | None
+) -> tuple[float, RunningModel | None]:
+    """Compute models of the record so far; return the time of the last one, and the latest that explains it."""
     recording = await pool.aside(tuning.recording)
     until_s, measured = float(recording.t[-1]), recording.settings.get("noise_sigma")
     noise = measured if isinstance(measured, float) else 0.0
+    gain = None if known is None else (known.model.K, known.standard_error["K"])
     learned = await pool.run(learned_so_far, recording, noise, gain)
     _inform(tuning, until_s, learned)
-    running = await pool.run(running_model, recording, noise, None if learned is None else learned.model)
+    begun = known or learned
+    running = await pool.run(running_model, recording, noise, None if begun is None else begun.model)
     if running is not None and not running.explains:
         _inform_of_kind(tuning, until_s, running.model)
-        return until_s, gain
+        return until_s, known
     _inform(tuning, until_s, running)
-    return until_s, gain if running is None else (running.model.K, running.standard_error["K"])
+    return until_s, running or known
 
 
 def _inform_of_kind(tuning: Estimated, until_s: float, model: ProcessModel) -> None:

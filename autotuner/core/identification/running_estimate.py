@@ -5,8 +5,8 @@
 
 The simplest structure that explains the PV is taken; a lag that may as well be nothing so does not spoil the error of
 the others, because time constants are judged against their sum (the average residence time). It feeds the stop of the
-relay, and the live view. The learned correction answers before it, from the oscillation alone, and least
-squares starts from its model. It counts for the stop on the same condition, that it explains the PV.
+relay, and the live view. The learned correction answers before it, from the oscillation alone. It counts for the stop
+on the same condition, that it explains the PV.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def running_model(
     noise_sigma : float
         Noise measured at rest, PV units.
     begun : ProcessModel, optional
-        Where the search starts: the latest learned correction. Without it, or where no structure explains
-        the PV from there, the starts are those of a scan.
+        Where the search starts: the model of the half period before, or the learned correction. Without it, or where
+        no structure explains the PV from there, the starts are those of a scan.
     nearest : bool
         Whether the nearest model is returned where none explains the PV; its `explains` is false then, and its errors
         are not known.
