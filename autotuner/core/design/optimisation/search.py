@@ -183,6 +183,8 @@ LARGEST_FILTER_RATIO = 100.0
 """`Td / Tf` (or `Ti / (4 Tf)`) with a noise limit."""
 SIMPLEX_STARTS = 2
 """Best points of the grid from which the simplex search starts: two, as the cost may have two valleys."""
+ROUGH, CLOSE = (0.1, 1e-2), (1e-3, 1e-5)
+"""Differences of logarithms of times, and of errors, at which a simplex ends: to rank them, and for the best one."""
 SIMPLEX_STEP, NEIGHBOUR_STEP = 0.4, 0.15
 """First edge of a simplex, in logarithms of times; smaller next to a known answer."""
 WORTH_A_DERIVATIVE = 0.99
@@ -298,16 +300,22 @@ def _minimum(search: Search, axes: _Axes, guesses: FloatArray, step: float = SIM
     costs = np.array([cost(x) for x in guesses])
     if costs.min() >= NOT_POSSIBLE:
         return None
-    found = [_simplex(cost, guesses[i], step) for i in np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
-    return min(found, key=lambda pair: pair[0])[1]
+    starts = guesses[np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
+    rough = [_simplex(cost, np.vstack((x, x + step * np.eye(x.size))), *ROUGH) for x in starts]
+    cheapest = min(rough, key=lambda pair: pair[0])[1]
+    _, corners = _simplex(cost, cheapest, *CLOSE)
+    return corners[0]
 
 
-def _simplex(cost: Callable[[FloatArray], float], start: FloatArray, step: float) -> tuple[float, FloatArray]:
-    corners = np.vstack((start, start + step * np.eye(start.size)))
+def _simplex(
+    cost: Callable[[FloatArray], float], corners: FloatArray, xatol: float, fatol: float
+) -> tuple[float, FloatArray]:
+    """Return the least cost, and the corners where the search ends, the best first: from there it goes on unchanged."""
     result = scipy.optimize.minimize(
-        cost, start, method="Nelder-Mead", options={"initial_simplex": corners, "xatol": 1e-3, "fatol": 1e-5}
+        cost, corners[0], method="Nelder-Mead", options={"initial_simplex": corners, "xatol": xatol, "fatol": fatol}
     )
-    return float(result.fun), result.x
+    ended: FloatArray = result.final_simplex[0]
+    return float(result.fun), ended
 
 
 def _checked(search: Search, shape: PidGains) -> PidGains | None:
