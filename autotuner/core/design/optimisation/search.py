@@ -303,8 +303,8 @@ def _minimum(search: Search, axes: _Axes, guesses: FloatArray, step: float = SIM
     starts = guesses[np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
     rough = [_simplex(cost, np.vstack((x, x + step * np.eye(x.size))), *ROUGH) for x in starts]
     cheapest = min(rough, key=lambda pair: pair[0])[1]
-    _, corners = _simplex(cost, cheapest, *CLOSE)
-    return corners[0]
+    best: FloatArray = _simplex(cost, cheapest, *CLOSE)[1][0]
+    return best
 
 
 def _simplex(
