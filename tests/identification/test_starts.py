@@ -93,8 +93,8 @@ def test_where_it_begins_does_not_change_where_it_ends(begun):
 def test_a_scan_is_made_only_where_the_known_model_leads_nowhere(begun, scans, monkeypatch):
     """From a dead time of more than a half period no search comes back; the scan finds the process all the same."""
     asked = []
-    scan = optimiser.scan
-    monkeypatch.setattr(optimiser, "scan", lambda *arguments: asked.append(arguments) or scan(*arguments))
+    scan = optimiser.scans
+    monkeypatch.setattr(optimiser, "scans", lambda *arguments: asked.append(arguments) or scan(*arguments))
     recording = record(autotuner_sim.Fopdt(2.0, 10.0, 4.0), 3, 30.0, 1)
     found = running_model(recording, recording.settings["noise_sigma"], begun)
     assert bool(asked) is scans

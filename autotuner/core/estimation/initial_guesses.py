@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.backgrounds import background_columns, score
-from autotuner.core.estimation.data import ANY_GAIN
 from autotuner.core.model.structures import FOPDT, PURE_INTEGRATOR, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.estimation.backgrounds import Background
     from autotuner.core.estimation.data import Data, GainPrior
-    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.arrays import BoolArray, FloatArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.model.structures import Structure
 
@@ -84,14 +83,14 @@ def starts_from(model: ProcessModel | None, structure: Structure) -> tuple[Start
     return (Start((max(first - late, first / 2.0),)[: len(structure.shape)], D + late, 0.0),)
 
 
-def scan(
+def scans(
     data: Data,
     structure: Structure,
     background: Background,
-    prior: GainPrior = ANY_GAIN,
+    priors: Sequence[GainPrior],
     more: Sequence[tuple[float, ...]] = (),
-) -> list[Start]:
-    """Return one start for each shape of the grid and some more, the best first.
+) -> list[list[Start]]:
+    """Return for each prior one start for each shape of the grid and some more, the best first.
 
     Parameters
     ----------
@@ -101,20 +100,21 @@ def scan(
         What is to be fitted.
     background : tuple of str
         Names of the background's columns.
-    prior : GainPrior
-        Prior knowledge of the static gain.
+    priors : sequence of GainPrior
+        Prior knowledge of the static gain: several differ in its sign only, and share the responses.
     more : sequence of tuple of float
         Further shapes.
     """
-    thin = data.thinned(SAMPLES)
-    delays = delays_of(data)
-    guesses = []
+    thin, delays = data.thinned(SAMPLES), delays_of(data)
+    guesses: list[list[Start]] = [[] for _ in priors]
     for shape in (*_shapes(data, structure), *more):
         data.require_time()
-        scores = _scores(thin, structure, shape, delays, background, prior)
-        best = int(np.argmin(scores))
-        guesses.append(Start(tuple(shape), float(delays[best]), float(scores[best])))
-    return sorted(guesses, key=lambda start: start.score)
+        scores, gains = _scores(thin, structure, shape, delays, background, priors[0].known)
+        for prior, found in zip(priors, guesses, strict=True):
+            allowed = np.where(_allowed(gains, prior), scores, np.inf)
+            best = int(np.argmin(allowed))
+            found.append(Start(tuple(shape), float(delays[best]), float(allowed[best])))
+    return [sorted(found, key=lambda start: start.score) for found in guesses]
 
 
 def ringing_shapes(t: FloatArray, output: FloatArray, pv: FloatArray) -> list[tuple[float, float]]:
@@ -162,15 +162,15 @@ def _scores(
     shape: Sequence[float],
     delays: FloatArray,
     background: Background,
-    prior: GainPrior,
-) -> FloatArray:
-    """Return the score at each of the delays."""
+    known_gain: float | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the score at each of the delays, and the gains there, shape (number of delays, number of gains)."""
     motion = structure.motion(shape, data.span_s)
     shifted_times = data.t - delays[:, None]
     columns = list(motion.forced(data.held, shifted_times)[0])
     target = np.broadcast_to(data.pv, shifted_times.shape)
-    if prior.known is not None:
-        target = target - prior.known * columns.pop(0)
+    if known_gain is not None:
+        target = target - known_gain * columns.pop(0)
     columns += [
         np.broadcast_to(column, shifted_times.shape)
         for column, _ in background_columns(data, motion, background, shifted_times)
@@ -186,11 +186,13 @@ def _scores(
     solved = np.linalg.solve(gram, moment[..., None])[..., 0]
     residual = target - np.einsum("dl,dln->dn", solved, phi)
     used = np.count_nonzero(np.broadcast_to(weight, residual.shape), axis=1)
-    scores = score(np.einsum("dn,dn->d", residual, residual), used, data)
+    return score(np.einsum("dn,dn->d", residual, residual), used, data), solved[:, : structure.gains]
+
+
+def _allowed(gains: FloatArray, prior: GainPrior) -> BoolArray:
+    """Return which gains of the scan agree with what is known of them."""
     if prior.known is not None:
-        return scores
-    allowed = solved[:, 0] * prior.sign >= 0.0
-    if structure.gains > 1:
-        # A zero on the other side is another process, with more dead time, and leads the search away from this one.
-        allowed &= solved[:, 0] * solved[:, 1] <= 0.0
-    return np.where(allowed, scores, np.inf)
+        return np.ones(len(gains), dtype=np.bool_)
+    allowed: BoolArray = gains[:, 0] * prior.sign >= 0.0
+    # A zero on the other side is another process, with more dead time, and leads the search away from this one.
+    return allowed if gains.shape[1] == 1 else allowed & (gains[:, 0] * gains[:, 1] <= 0.0)

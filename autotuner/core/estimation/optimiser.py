@@ -13,7 +13,7 @@ import scipy
 
 from autotuner.core.estimation.backgrounds import counted, score
 from autotuner.core.estimation.data import ANY_GAIN
-from autotuner.core.estimation.initial_guesses import Start, delays_of, scan
+from autotuner.core.estimation.initial_guesses import Start, delays_of, scans
 from autotuner.core.estimation.variable_projection import Projection
 from autotuner.core.model.structures import log_shape
 
@@ -99,7 +99,7 @@ def solve(
     """
     thin = data.thinned(COARSE_SAMPLES)
     known = [start for start in starts if start.delay_s < LONGEST_KNOWN * data.span_s]
-    guesses = known or scan(data, structure, background, prior)[:STARTS]
+    guesses = known or scans(data, structure, background, (prior,))[0][:STARTS]
     placed = [_placed(thin, structure, background, start, prior) for start in guesses] if data.others else guesses
     if len(placed) > 1 or thin.t.size < data.t.size:
         coarse = [refine(thin, structure, background, start, prior, COARSE_STEPS) for start in placed]

@@ -22,7 +22,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
     without_rounding,
 )
 from autotuner.core.estimation.data import GainPrior
-from autotuner.core.estimation.initial_guesses import ringing_shapes, scan
+from autotuner.core.estimation.initial_guesses import ringing_shapes, scans
 from autotuner.core.identification.controller_inverse import is_inverse
 from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, UNSTABLE
 from autotuner.errors import InputError
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.dataset import Dataset
-    from autotuner.core.model.arrays import IntArray
+    from autotuner.core.estimation.initial_guesses import Start
+    from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.model.structures import Structure
 
@@ -107,7 +108,7 @@ def base_of(context: FitContext, background: tuple[str, ...], sign: int) -> Base
     noise = math.hypot(context.dataset.noise, context.dataset.floor)
     if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise or _all_fail_elsewhere(context, fits, noise):
         others = OTHERS if context.dataset.tuned else OPEN_ENDED
-        fits += [f for s in others for f in _alone(context, s, background, prior)]
+        fits += [f for s in others for f in _alone(context, s, background, [prior])]
     if not fits:
         return None
     best = context.best(fits)
@@ -131,8 +132,8 @@ def _of_either_sign(context: FitContext, structure: Structure, background: tuple
     For a periodic record the other sign with half a period of delay is similar, but is less often right on the
     held-out part.
     """
-    signs = (sign,) if sign else (1, -1)
-    found = closest_first(f for s in signs for f in _alone(context, structure, background, GainPrior(None, s)))
+    priors = [GainPrior(None, s) for s in ((sign,) if sign else (1, -1))]
+    found = closest_first(_alone(context, structure, background, priors))
     return found if context.dataset.tuned else without_rounding(found, context.on_both_parts)
 
 
@@ -161,32 +162,47 @@ def declared_base(context: FitContext, background: tuple[str, ...], sign: int, m
     theta = np.array([*np.log(np.maximum(shape, least)), model.D / problem.unit_s])
     held = fit(replace(problem, fixed=tuple(theta.tolist())), theta, 0)
     prior = GainPrior(None, sign)
-    free = [f for f in (fit(problem, theta, STEPS), *_alone(context, structure, background, prior)) if is_physical(f)]
+    free = [f for f in (fit(problem, theta, STEPS), *_alone(context, structure, background, [prior])) if is_physical(f)]
     refit = next(iter(closest_first(free)), held)
     best = context.best([held, refit])
     return Base(best, (held, refit), held)
 
 
-def _alone(context: FitContext, structure: Structure, background: tuple[str, ...], prior: GainPrior) -> list[Fitted]:
+def _alone(
+    context: FitContext, structure: Structure, background: tuple[str, ...], priors: Sequence[GainPrior]
+) -> list[Fitted]:
+    """Return the best process of a structure by each prior."""
     problem = Extended(context.dataset, structure, (), context.coarse, background)
-    coarse = _from_scan(context, problem, prior, context.coarse)
-    fine = [fit(replace(problem, rows=context.fine), c.theta, STEPS) for c in coarse[:1]]
-    return [f for f in fine if is_physical(f, prior)]
+    fine = [
+        (fit(replace(problem, rows=context.fine), coarse[0].theta, STEPS), prior)
+        for coarse, prior in zip(_from_scan(context, problem, priors, context.coarse), priors, strict=True)
+        if coarse
+    ]
+    return [f for f, prior in fine if is_physical(f, prior)]
 
 
-def _from_scan(context: FitContext, problem: Extended, prior: GainPrior, rows: IntArray) -> list[Fitted]:
-    """Return the fits from the best starts of the scan on some samples, the best first."""
+def _from_scan(
+    context: FitContext, problem: Extended, priors: Sequence[GainPrior], rows: IntArray
+) -> list[list[Fitted]]:
+    """Return for each prior the fits from the best starts of the scan on some samples, the best first."""
     dataset = context.dataset
     data = replace(dataset.data, t=dataset.data.t[rows], pv=dataset.data.pv[rows], weight=np.ones(rows.size))
     background = ("offset", "drift") if "drift" in problem.background else ("offset",)
     ringing = _ringing(dataset, problem.structure)
-    starts = scan(data, problem.structure, background, prior, ringing)[:SCANNED]
+    starts = [found[:SCANNED] for found in scans(data, problem.structure, background, priors, ringing)]
     if dataset.in_loop and "state" in problem.background:
         # A load that was there before the record hides the process that removes it.
-        starts += scan(data, problem.structure, (*background, "state"), prior, ringing)[:1]
-    thetas = [np.array([*np.log(s.shape), s.delay_s / problem.unit_s]) for s in starts]
-    fits = [fit(replace(problem, rows=rows), theta, COARSE_STEPS) for theta in thetas]
-    return closest_first(f for f in fits if is_physical(f, prior))
+        with_state = scans(data, problem.structure, (*background, "state"), priors, ringing)
+        starts = [[*found, *more[:1]] for found, more in zip(starts, with_state, strict=True)]
+    some = replace(problem, rows=rows)
+    return [
+        closest_first(f for s in found if is_physical(f := fit(some, _theta_of(some, s), COARSE_STEPS), prior))
+        for found, prior in zip(starts, priors, strict=True)
+    ]
+
+
+def _theta_of(problem: Extended, start: Start) -> FloatArray:
+    return np.array([*np.log(start.shape), start.delay_s / problem.unit_s])
 
 
 def _ringing(dataset: Dataset, structure: Structure) -> list[tuple[float, float]]:
@@ -218,7 +234,7 @@ def _of_parts(context: FitContext, pair: Fitted, prior: GainPrior) -> list[Fitte
     found = []
     for part in (rows, rows[:half], rows[half:]):
         problem = replace(wandering, background=("offset", "drift", "state")) if part[0] > rows[half - 1] else wandering
-        found += [_moved(context, pair, near) for near in _from_scan(context, problem, prior, part)[:1]]
+        found += [_moved(context, pair, near) for near in _from_scan(context, problem, [prior], part)[0][:1]]
     return found
 
 
@@ -230,7 +246,8 @@ def _without_jumps(context: FitContext, pair: Fitted, prior: GainPrior) -> list[
         return []
     jumped = sum(size * (dataset.data.t > at_s) for at_s, size in jumps)
     smooth = replace(dataset, data=replace(dataset.data, pv=dataset.data.pv - jumped))
-    found = _from_scan(replace(context, dataset=smooth), replace(pair.problem, dataset=smooth), prior, context.coarse)
+    problem = replace(pair.problem, dataset=smooth)
+    found = _from_scan(replace(context, dataset=smooth), problem, [prior], context.coarse)[0]
     return [_moved(context, pair, near) for near in found[:1]]
 
 

@@ -117,8 +117,10 @@ class Extended:
         """Return the columns at some samples, and how many of them each effect added."""
         return self.columns_of(self.view(theta, rows), theta)
 
-    def columns_of(self, view: View, theta: FloatArray) -> tuple[FloatArray, list[int]]:
-        """Return the same of a view at `theta`."""
+    def columns_of(
+        self, view: View, theta: FloatArray, background: FloatArray | None = None
+    ) -> tuple[FloatArray, list[int]]:
+        """Return the same of a view at `theta`; the background is given where the process is as it was."""
         _, _, values = self.split(theta)
         columns = self._response(view, values)
         counts = []
@@ -126,8 +128,7 @@ class Extended:
             added = list(effect.columns(view, p)) if effect.columns is not None else []
             counts.append(len(added))
             columns += added
-        columns += self._background(view)
-        return np.column_stack(columns), counts
+        return np.column_stack([*columns, *(self._background(view) if background is None else (background,))]), counts
 
     def tangent(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the columns at the fitted samples, and the slopes of the simulated PV with all that is searched."""
@@ -361,8 +362,9 @@ class _Point:
         return moved
 
     def _columns_at(self, theta: FloatArray, k: int) -> FloatArray:
-        """Return the columns at a `theta` with another number `k`: of an effect that only adds columns, new ones."""
+        """Return the columns at a `theta` with another number `k`: only those that may depend on it are new."""
         problem, ahead, column = self.problem, len(self.problem.structure.shape) + 1, self.problem.structure.gains
+        background = self.columns[:, column + sum(self.counts) :] if k >= ahead else None
         for effect, count in zip(problem.effects, self.counts, strict=True):
             first, ahead = ahead, ahead + len(effect.searched)
             if first <= k < ahead and count and effect.columns is not None and effect.only_adds:
@@ -372,7 +374,7 @@ class _Point:
                 )
                 return columns
             column += count
-        return problem.columns(theta, problem.rows)[0]
+        return problem.columns_of(problem.view(theta, problem.rows), theta, background)[0]
 
     def _known(self, moved: FloatArray) -> set[int]:
         """Write the slopes that effects know at once; return which they are."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
 
-KEPT, LOOKED_AT_AGAIN = 2, 5
+KEPT, LOOKED_AT_AGAIN = 2, 3
 """Starts of an effect from which a few steps are taken, and from which those are picked by their own tangent."""
 
 
@@ -53,12 +53,15 @@ class Tangent:
         What they leave of the PV.
     slopes : array of float, shape (N, P)
         The slopes alone.
+    background : array of float, shape (N, B)
+        What the PV does besides.
     """
 
     base: Fitted
     basis: FloatArray
     left: FloatArray
     slopes: FloatArray
+    background: FloatArray
 
 
 def tangent_of(context: FitContext, base: Fitted) -> Tangent:
@@ -67,7 +70,8 @@ def tangent_of(context: FitContext, base: Fitted) -> Tangent:
     columns, slopes = problem.tangent(base.theta)
     pv = context.dataset.data.pv[context.screen]
     basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
-    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes)
+    background = columns[:, problem.structure.gains + sum(base.counts) :]
+    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes, background)
 
 
 def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
@@ -107,7 +111,7 @@ def _score_of_change(
     theta: FloatArray,
     _values: Sequence[float],
 ) -> float:
-    columns = problem.columns(theta, context.screen)[0]
+    columns, _ = problem.columns_of(problem.view(theta, context.screen), theta, tangent.background)
     left = residual_after(np.hstack((columns, tangent.slopes)), context.dataset.data.pv[context.screen])
     return float(left @ left) / left.size
 
