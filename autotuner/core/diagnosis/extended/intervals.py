@@ -4,10 +4,8 @@
     W     12/width^2 for searched values within bounds of that width: a move merged with another one shows no time
     s^2   the larger mean square of the fitted and of the held-out part
     var f = (df)' cov (df)                                               (delta method)
-    cov   at least (J'J)^-1 (sum_k w_k sum_t g_t g_{t+k}') (J'J)^-1,   g_t = J_t e_t,   w_k = 1 - |k|/(L + 1)
-          per number: a small slow part of the residual `e`, which a model of lower order leaves, hides in the noise of
-          its autocorrelation but not in that of the scores `g` (Newey and West, Econometrica 55, 1987); `L` is the
-          process's own memory
+    cov   at least (J'J)^-1 J' V J (J'J)^-1 per number, `V` of noise with a slow part: a model of lower order leaves a
+          small slow part of the residual, which hides in the noise of its autocorrelation (see `slow_part`)
 
 A size in which the simulation is a staircase (the band of a sticking valve), or strongly nonlinear, has a profile
 interval instead: all values at which the misfit, all else refitted, rises by less than chi^2(0.95) = 3.84 allows.
@@ -18,6 +16,10 @@ The process beside such a number `s` has what its covariance is with `s` held, a
     cov x = E cov(x | s) + cov E(x | s),   cov E(x | s) ~ v v',   v = (x(end of the profile) - x)/1.96
 
 (law of total covariance): steps of an actuator that are 1 % larger leave a gain that is 1 % smaller.
+
+Explanations with one term more (`neighbours`), of weights `w_i`, leave the gain and the sizes `x` open by
+
+    var x = sum_i w_i (var_i x + (x_i - x)^2)                            (Buckland and others, Biometrics 53, 1997)
 """
 
 from __future__ import annotations
@@ -30,12 +32,13 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import sizes_at
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.estimation.noise.slow_part import slow_part
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import CHI2_95, NORMAL_95
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
@@ -45,8 +48,6 @@ ROUGH = 1e-3
 """Step of the difference from which a number counts as a staircase."""
 MOST_MORE = 4.0
 """Largest weight of the mean square of the held-out part, relative to the fitted part."""
-MOST_CORRELATED = 0.1
-"""Longest lag of correlated scores, as a share of the samples: a longer one leaves too few products."""
 TRIED, NEAREST = 50, 1e-4
 BISECTIONS = 6
 """Halvings of the last step of a profile: its end is found to a 64th of it, 0.3 % of the distance from the centre."""
@@ -55,6 +56,8 @@ RIDGE = 1e-14
 Interval = tuple[float, float]
 Ends = tuple[tuple["FloatArray", "FloatArray"], ...]
 """`theta` and linear parameters at the ends of a profile."""
+Neighbours = tuple[tuple[float, "Fitted"], ...]
+"""Explanations and their weights, the one in question among them."""
 
 
 def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ()) -> FloatArray:
@@ -78,29 +81,17 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
     )
     within = 12.0 * variance / (widths[at] * scale[live]) ** 2
     inverse = np.linalg.pinv(normal + np.diag(RIDGE + within), hermitian=True)
-    stretch = _stretch(J[:, live] / scale[live] * residual[:, None], inverse, variance, _memory(fitted))
+    stretch = _stretch(residual, J[:, live] / scale[live], inverse, variance)
     cov[np.ix_(at, at)] = variance * inverse * np.outer(stretch, stretch) / np.outer(scale[live], scale[live])
     return cov
 
 
-def _stretch(scores: FloatArray, inverse: FloatArray, variance: float, lags: int) -> FloatArray:
-    """Return by how much the standard errors from correlated scores exceed those from the residual, at least 1."""
-    middle = scores.T @ scores
-    for k in range(1, lags + 1):
-        across = scores[k:].T @ scores[:-k]
-        middle += (1.0 - k / (lags + 1.0)) * (across + across.T)
-    robust = np.einsum("ij,jk,ki->i", inverse, middle, inverse)
+def _stretch(residual: FloatArray, slopes: FloatArray, inverse: FloatArray, variance: float) -> FloatArray:
+    """Return by how much the standard errors with a slow part exceed those without, at least 1."""
+    robust = np.einsum("ij,jk,ki->i", inverse, slow_part(residual, slopes).of(slopes), inverse)
     plain = variance * np.maximum(np.diag(inverse), SMALLEST_DIVISOR)
-    stretched: FloatArray = np.sqrt(np.maximum(robust / plain, 1.0))
+    stretched: FloatArray = np.sqrt(np.maximum(robust / np.maximum(plain, SMALLEST_DIVISOR), 1.0))
     return stretched
-
-
-def _memory(fitted: Fitted) -> int:
-    """Return the sum of the process's lags in samples, at most a share of the record."""
-    problem = fitted.problem
-    lags_s = float(np.exp(fitted.theta[: len(problem.structure.shape)]).max(initial=0.0))
-    apart_s = problem.dataset.span_s / max(fitted.residual.size, 1)
-    return int(min(lags_s / apart_s, MOST_CORRELATED * fitted.residual.size))
 
 
 def _residual(context: FitContext, fitted: Fitted) -> FloatArray:
@@ -110,8 +101,34 @@ def _residual(context: FitContext, fitted: Fitted) -> FloatArray:
     return fitted.residual - moved
 
 
-def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Interval]]:
-    """Return the intervals of the sizes of all effects, in their order."""
+def effect_intervals(context: FitContext, fitted: Fitted, others: Neighbours = ()) -> list[dict[str, Interval]]:
+    """Return the intervals of the sizes of all effects, in their order; `others` with their weights."""
+    centre, own = fitted.sizes(), _effect_intervals(context, fitted)
+    others = tuple((weight, f) for weight, f in others if f.names == fitted.names)
+    if len(others) < 2:
+        return own
+    found = [(w, f.sizes(), own if f is fitted else _effect_intervals(context, f)) for w, f in others]
+    return [
+        {
+            name: averaged(sizes[name], ((w, s[row][name], i[row][name]) for w, s, i in found if name in s[row]))
+            for name in sizes
+        }
+        for row, sizes in enumerate(centre)
+    ]
+
+
+def averaged(value: float, alternatives: Iterable[tuple[float, float, Interval]]) -> Interval:
+    """Return the interval about a value that alternatives leave, each with its weight, value and interval."""
+    whole = below = above = 0.0
+    for weight, other, (low, high) in alternatives:
+        off = (NORMAL_95 * (other - value)) ** 2
+        whole += weight
+        below += weight * ((other - low) ** 2 + off)
+        above += weight * ((high - other) ** 2 + off)
+    return value - math.sqrt(below / whole), value + math.sqrt(above / whole)
+
+
+def _effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Interval]]:
     centre = fitted.sizes()
     profiles = _profiles(context, fitted)
     cov = covariance(context, fitted, [k for k, *_ in profiles])  # a staircase has no slope of its own
@@ -133,8 +150,25 @@ def effect_intervals(context: FitContext, fitted: Fitted) -> list[dict[str, Inte
     return result
 
 
-def process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None:
-    """Return the covariance of the process parameters, in their order; None for one at its bound."""
+def process_covariance(context: FitContext, fitted: Fitted, others: Neighbours = ()) -> FloatArray | None:
+    """Return the covariance of the process parameters, in their order; None for one at its bound.
+
+    `others` with their weights widen the error of the gain, the first parameter: lags of another order mean another.
+    """
+    result = _process_covariance(context, fitted)
+    if result is None or len(others) < 2 or result[0, 0] <= 0.0:
+        return result
+    gain, variance = float(fitted.linear[0]), 0.0
+    for weight, other in others:
+        cov = result if other is fitted else _process_covariance(context, other)
+        open_by = float(result[0, 0] if cov is None else cov[0, 0])
+        variance += weight * (open_by + (float(other.linear[0]) - gain) ** 2)
+    stretch = np.ones(result.shape[0])
+    stretch[0] = math.sqrt(variance / result[0, 0])
+    return result * np.outer(stretch, stretch)
+
+
+def _process_covariance(context: FitContext, fitted: Fitted) -> FloatArray | None:
     parameters = partial(_parameters, fitted)
     try:
         centre = dict(parameters(fitted.theta, fitted.linear))

@@ -35,6 +35,7 @@ from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.diagnosis.search.judge import noise_of
+from autotuner.core.diagnosis.search.neighbours import neighbours
 from autotuner.core.diagnosis.search.simplify import with_third_lag
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.process import model_to_dict
@@ -110,7 +111,7 @@ def reported(
     noise = max(noise_of(context, first.best), 0.0 if coloured is None else coloured.noise)
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
-    covariance = process_covariance(context, found.chosen)
+    covariance = process_covariance(context, found.chosen, neighbours(context, found.chosen, found.pool))
     doubts = _doubts(context, found, effects, errors, error["selection"], covariance, sensor)
     verdict, cut = _outcome(context, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
@@ -237,7 +238,7 @@ def _effects(context: FitContext, found: Trace, chosen: Fitted) -> tuple[FoundEf
     elsewhere = context.held_out_error(chosen) / context.expected(chosen, found.noise)
     left = max(chosen.rms / found.noise, elsewhere / ELSEWHERE, 1.0)
     result = []
-    intervals = effect_intervals(context, chosen)
+    intervals = effect_intervals(context, chosen, neighbours(context, chosen, found.pool))
     names = chosen.reported_names()
     places = {e.name: e.place for c in found.pool for e in c.problem.effects}
     for effect, name, sizes, interval in zip(chosen.problem.effects, names, chosen.sizes(), intervals, strict=True):

@@ -20,9 +20,10 @@ from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
+from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS
-from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
+from autotuner.core.diagnosis.search.search import FINE_STEPS
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,12 +32,14 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
 
-NEARBY = (-3, -2, -1, 1, 2, 3)
-"""Samples."""
+MOMENT = "moment"
+"""Name of the searched number that is the time of a change, as a share of the record."""
+NEARBY, AWAY = (-3, -2, -1, 1, 2, 3), (-0.05, -0.03, -0.02, -0.01, -0.005, 0.005, 0.01, 0.02, 0.03, 0.05)
+"""Other moments that are tried, in samples and in records away."""
+BEST_MOMENTS = 3
+"""Of these, the number from which a fit begins."""
 STRONG = 10.0
 """Improvement required of a drift shaped like the response: very strong evidence (Kass, Raftery 1995)."""
-THIRD = (0.05, 0.2)
-"""Initial guesses of a third lag, relative to the sum of the two."""
 FLAT = 0.05
 """Ratio of two gains of an actuator under which the smaller one is zero."""
 RICH = 2
@@ -55,18 +58,13 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
 
 def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
     """Return the explanation with a third lag of the process where noise hides it, and both parts speak for it."""
-    problem = chosen.problem
-    other = any(e.response is not None or e.makes_late for e in problem.effects)
-    if problem.structure is not SECOND_ORDER or problem.fixed is not None or other or context.dataset.budget.spent:
+    if chosen.problem.structure is not SECOND_ORDER or chosen.rms > NOTHING_LEFT * noise_of(context, chosen):
         return chosen
-    if chosen.rms > NOTHING_LEFT * noise_of(context, chosen):
+    richer = one_lag_more(context, chosen)
+    if richer is None:
         return chosen
-    thinned = replace(problem, structure=THIRD_ORDER, rows=context.coarse)
-    starts = (np.insert(chosen.theta, 2, chosen.theta[0] + np.log(share)) for share in THIRD)
-    coarse = closest_first(fit(thinned, start, QUICK_STEPS) for start in starts)[0]
-    richer = fit(replace(thinned, rows=context.fine), coarse.theta, FINE_STEPS)
     evidence = weigh(context, chosen, richer)
-    return richer if is_physical(richer) and evidence.gain > 0.0 and evidence.held_out_ratio < 1.0 else chosen
+    return richer if evidence.gain > 0.0 and evidence.held_out_ratio < 1.0 else chosen
 
 
 def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
@@ -123,14 +121,16 @@ def with_own_shapes(context: FitContext, chosen: Fitted) -> Fitted:
 
 
 def with_best_moment(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with the jump of the reading at the best of the samples nearby."""
-    jump = next((e for e in chosen.problem.effects if e.name == "bias_step"), None)
-    if jump is None:
+    """Return the explanation with a change at the best of the moments nearby: a move of the output parts two minima."""
+    timed = next((e for e in chosen.problem.effects if MOMENT in {s.name for s in e.searched}), None)
+    if timed is None or context.dataset.budget.spent:
         return chosen
     sample = context.dataset.data.interval_s / context.dataset.span_s
-    moment, *lasting = _values_of(chosen, jump)  # a jump there and back has a duration too
-    tried = [_exchanged(chosen, jump, jump, [moment + by * sample, *lasting]) for by in NEARBY]
-    closest = closest_first([chosen, *(c for c in tried if is_physical(c))])[0]
+    values, at = list(_values_of(chosen, timed)), [s.name for s in timed.searched].index(MOMENT)
+    moved = [[*values[:at], values[at] + by, *values[at + 1 :]] for by in (*(k * sample for k in NEARBY), *AWAY)]
+    tried = closest_first(_exchanged(chosen, timed, timed, there, 0) for there in moved)[:BEST_MOMENTS]
+    refitted = [fit(c.problem, c.theta, FINE_STEPS) for c in tried]
+    closest = closest_first([chosen, *(c for c in refitted if is_physical(c))])[0]
     return closest if is_shown(chosen.misfit, closest.misfit) else chosen
 
 
@@ -147,13 +147,15 @@ def _values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
     return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
 
 
-def _exchanged(chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float]) -> Fitted:
+def _exchanged(
+    chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float], steps: int = FINE_STEPS
+) -> Fitted:
     """Return the explanation with one effect replaced by another one, fitted from given values."""
     head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
     _, _, known = chosen.problem.split(chosen.theta)
     parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
     problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
-    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), FINE_STEPS)
+    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), steps)
 
 
 def _width_of_play(friction: Effect, values: Sequence[float]) -> float:

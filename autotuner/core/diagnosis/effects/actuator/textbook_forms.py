@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -160,8 +161,8 @@ def _curves(dataset: Dataset) -> tuple[Effect, ...]:
             for n in powers
         ]
 
-    return tuple(
-        Effect(
+    def curve(form: str, powers: Sequence[int]) -> Effect:
+        return Effect(
             "static_nonlinearity",
             Place.ACTUATOR,
             (),
@@ -172,7 +173,12 @@ def _curves(dataset: Dataset) -> tuple[Effect, ...]:
             order=4,
             group="curve",
         )
-        for form, powers in (("square", (2,)), ("cubic", (2, 3)))
+
+    # A power law has the fourth power next, a curve that bends alike on either side the fifth.
+    forms = (("square", (2,), (3,)), ("cubic", (2, 3), (4, 5)))
+    return tuple(
+        replace(curve(form, powers), next_terms=tuple(curve(form, (*powers, power)) for power in following))
+        for form, powers, following in forms
     )
 
 

@@ -10,7 +10,7 @@ above that at which the loss ends, over the gain: p = 1/2 free outflow (Torricel
 
 is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
 the PV, and on one side more than on the other (a). `s` the square of the range of `w`. The same of the second of two
-stores in a row alone is a form too.
+stores in a row alone is a form too. Its next term, `c w^4`, shows what the other two leave open.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, Vi
 from autotuner.core.model.step_responses import Pair
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.record.dataset import Dataset
@@ -62,25 +62,35 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
     of_last = [(which, b, a) for which in (0.0, 1.0) for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        law = _cubic_law(p[-1] / half, p[-2] / half**2)
+        b, a, *fourth = p[len(slow) :]
+        law = _power_law(a / half, b / half**2, sum(fourth) / half**3)
         return with_loss_at_the_end(view, *law, slow_last=p[0] > 0.5) if last else with_loss(view, *law)
 
-    return Effect(
+    def sizes(p: Sequence[float], _c: Sequence[float], g: float) -> Mapping[str, float]:
+        b, a = p[len(slow) : len(slow) + 2]
+        return {"cubic_per_pv2": b / (half * g) ** 2, "square_per_pv": a / (half * g)}
+
+    cubic = Effect(
         "nonlinear_loss",
         Place.PROCESS,
         (*slow, Searched("cubic", -0.3, 30.0, 1e-4), Searched("square", -3.0, 3.0, 1e-4)),
         of_last if last else [(b, 0.0) for b in (0.03, 0.2, 0.8, 3.0)],
-        lambda p, _c, g: {"cubic_per_pv2": p[-2] / (half * g) ** 2, "square_per_pv": p[-1] / (half * g)},
+        sizes,
         form="of the last store" if last else "cubic",
         response=response,
         price=3.0 if last else 2.0,
         group="loss",
     )
+    fourth = replace(cubic, searched=(*cubic.searched, Searched("fourth", -30.0, 30.0, 1e-4)))
+    return replace(cubic, next_terms=(fourth,))
 
 
-def _cubic_law(a: float, b: float) -> tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]:
-    """Return `-(a w^2 + b w^3)` and its slope."""
-    return lambda w: -(a + b * w) * w * w, lambda w: -(2.0 * a + 3.0 * b * w) * w
+def _power_law(a: float, b: float, c: float) -> tuple[Curve, Curve]:
+    """Return `-(a w^2 + b w^3 + c w^4)` and its slope."""
+    return (
+        lambda w: -(a + (b + c * w) * w) * w * w,
+        lambda w: -(2.0 * a + (3.0 * b + 4.0 * c * w) * w) * w,
+    )
 
 
 def _loss(dataset: Dataset, form: str, power: float) -> Effect:
