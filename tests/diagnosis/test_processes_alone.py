@@ -170,7 +170,7 @@ def pair_of(recording, start):
 
 
 def test_a_third_lag_that_noise_hides_is_in_the_process_and_its_gain():
-    """Of 12 intervals of 95 % of the gain at most 3 may miss: more come twice in 1,000 times."""
+    """Of 12 intervals of 95 % of the gain at most 3 may miss: more come twice in 1,000 times. Of two lags more do."""
     plant = RationalPlant((1.5,), (1.0, 39.0, 450.0, 1400.0), 4.0)  # of 20, 14 and 5 s
     alone, missed = record(plant, moves(600, hold=25)), [0, 0]
     for seed in range(12):
@@ -178,7 +178,7 @@ def test_a_third_lag_that_noise_hides_is_in_the_process_and_its_gain():
         for k, found in enumerate((pair, with_third_lag(context, pair))):
             half = 1.96 * math.sqrt(process_covariance(context, found)[0, 0])
             missed[k] += abs(found.process().K - plant.K) > half
-    assert missed[0] >= 8
+    assert missed[0] > 3
     assert missed[1] <= 3
 
 

@@ -34,7 +34,7 @@ from autotuner.core.diagnosis.extended.extended_model import sizes_at
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.estimation.noise.slow_part import slow_part
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.quantiles import CHI2_95, NORMAL_95
+from autotuner.core.quantiles import CHI2_95, NORMAL_95, student_quantile
 from autotuner.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,7 +88,9 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
 
 def _stretch(residual: FloatArray, slopes: FloatArray, inverse: FloatArray, variance: float) -> FloatArray:
     """Return by how much the standard errors with a slow part exceed those without, at least 1."""
-    robust = np.einsum("ij,jk,ki->i", inverse, slow_part(residual, slopes).of(slopes), inverse)
+    slow = slow_part(residual, slopes)
+    robust = np.einsum("ij,jk,ki->i", inverse, slow.of(slopes), inverse)
+    robust *= (student_quantile(slow.freedom(*slopes.shape)) / NORMAL_95) ** 2
     plain = variance * np.maximum(np.diag(inverse), SMALLEST_DIVISOR)
     stretched: FloatArray = np.sqrt(np.maximum(robust / np.maximum(plain, SMALLEST_DIVISOR), 1.0))
     return stretched

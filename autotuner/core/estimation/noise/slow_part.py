@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
+
+from autotuner.core.model.zoh_input import accumulate
 
 if TYPE_CHECKING:
     from autotuner.core.model.arrays import ComplexArray, FloatArray
@@ -33,6 +34,8 @@ TWO_NUMBERS = 4.0
 """Twice the log likelihood that two numbers more have to bring (Akaike)."""
 LEAST_LEFT = 1e-3
 """Share of a frequency that a fit leaves at least, where its slopes absorb all of it."""
+FEWEST_FREE = 3.0
+"""Degrees of freedom that a slow part is given at least: with fewer, an interval has no end."""
 FEWEST = 20
 """Samples below which no slow part is searched."""
 
@@ -60,6 +63,11 @@ class SlowPart:
         result: FloatArray = self.variance * (slopes.T @ (slopes + self.ratio * remembered(slopes, self.forgets)))
         return result
 
+    def freedom(self, samples: int, fitted: int) -> float:
+        """Return the degrees of freedom of its variance, of a slow part where there is one (Satterthwaite, 1946)."""
+        square = self.forgets**2 if self.ratio else 0.0
+        return max(samples * (1.0 - square) / (1.0 + square) - fitted, FEWEST_FREE)
+
 
 def slow_part(residual: FloatArray, slopes: FloatArray) -> SlowPart:
     """Return the slow part of a residual at N samples in even steps, given the slopes of its fit, shape (N, P)."""
@@ -82,8 +90,9 @@ def slow_part(residual: FloatArray, slopes: FloatArray) -> SlowPart:
 
 def remembered(values: FloatArray, a: float) -> FloatArray:
     """Return `R x` of columns `x`, with `R_ij = a^|i-j|`."""
-    forward = scipy.signal.lfilter([1.0], [1.0, -a], values, axis=0)
-    backward = scipy.signal.lfilter([1.0], [1.0, -a], values[::-1], axis=0)[::-1]
+    kept = np.full(len(values), a)
+    forward = np.column_stack([accumulate(kept, x) for x in values.T])
+    backward = np.column_stack([accumulate(kept, x) for x in values[::-1].T])[::-1]
     result: FloatArray = forward + backward - values
     return result
 
