@@ -1,6 +1,7 @@
 """Who imports whom, what the core may touch, and how long functions are."""
 
 import ast
+import functools
 import importlib.util
 import statistics
 import subprocess
@@ -47,6 +48,12 @@ def sources(root, structure):
     return structure.sources(root)
 
 
+@functools.cache
+def parsed(path):
+    """Return a module as a tree, which several tests look at."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def test_import_contracts_hold(root):
     check = "from importlinter.cli import lint_imports_command as check; check()"
     done = subprocess.run(
@@ -67,7 +74,7 @@ def test_every_number_has_its_unit_and_reason(structure, sources):
 
 def test_the_core_imports_numpy_scipy_and_itself(packages):
     for path in (packages["autotuner"] / "core").rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = parsed(path)
         for name in set(_imported(tree)) - _imported_for_types_only(tree):
             own = name.startswith("autotuner.core") or name == "autotuner.errors"
             assert own or name.split(".")[0] in PURE or (path.name, name) in EXCEPTIONS, f"{path}: imports {name}"
@@ -75,21 +82,21 @@ def test_the_core_imports_numpy_scipy_and_itself(packages):
 
 def test_the_core_neither_prints_nor_opens(packages):
     for path in (packages["autotuner"] / "core").rglob("*.py"):
-        calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+        calls = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.Call)]
         named = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
         assert not named & SPEAKING, f"{path}: calls {named & SPEAKING}"
 
 
 def test_drivers_know_only_the_port(packages):
     for path in packages["autotuner_drivers"].rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = parsed(path)
         known = {name for name in _imported(tree) if name.split(".")[0] == "autotuner"}
         assert known <= PORT, path
 
 
 def test_nothing_imports_a_folder_of_the_repository(modules):
     for path in modules:
-        tops = {name.split(".")[0] for name in _imported(ast.parse(path.read_text(encoding="utf-8")))}
+        tops = {name.split(".")[0] for name in _imported(parsed(path))}
         assert not tops & {"drivers", "sim", "models", "tests"}, path
 
 
@@ -97,7 +104,7 @@ def test_functions_are_short(modules):
     lengths = {
         f"{path}:{node.name}": node.end_lineno - node.lineno + 1
         for path in modules
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     }
     assert statistics.median(lengths.values()) <= 10
@@ -106,7 +113,7 @@ def test_functions_are_short(modules):
 
 
 def test_every_module_opens_with_what_it_is(modules):
-    assert [path for path in modules if not ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))] == []
+    assert [path for path in modules if not ast.get_docstring(parsed(path))] == []
 
 
 def _imported(tree):

@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import re
 import subprocess
 import sys
 import threading
@@ -233,6 +234,9 @@ def disturbed(run, monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # a quick start
     monkeypatch.setattr(run, "PYTHON", sys.executable)
     monkeypatch.setattr(run, "passes", lambda *_: True)
+    for name, options in run.RUNS.items():  # one worker each, for two tests
+        alone = [re.sub("^--numprocesses=.*", "--numprocesses=1", option) for option in options]
+        monkeypatch.setitem(run.RUNS, name, alone)
     return run
 
 
