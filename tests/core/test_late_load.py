@@ -92,7 +92,11 @@ def test_a_load_at_the_end_of_the_rest_is_not_taken_for_noise():
     assert np.mean([largest_wander(t, rest) > 0.3 for rest in rests]) < 0.05
 
 
-@pytest.mark.parametrize("last", [{"return": 90.0}, {"staircase": 90.0}, {"staircase": 60.0, "return": 119.9}])
+@pytest.mark.parametrize("last", [
+    {"return": 90.0},
+    pytest.param({"staircase": 90.0}, marks=pytest.mark.long),
+    {"staircase": 60.0, "return": 119.9},
+])  # fmt: skip
 def test_a_part_without_a_load_is_searched_where_a_check_was_cut_short(last):
     """There is no tail then: the part after it judges the model, or the one before that where it is too short."""
     t = np.arange(0.0, 120.0, DT)
