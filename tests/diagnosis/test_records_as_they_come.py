@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.extended.repair import require_not_swapped
 from autotuner.errors import RecordingError
 
 pytestmark = pytest.mark.usefixtures("without_gains")
@@ -57,6 +58,19 @@ def test_swapped_columns_are_refused(levels):
         y[k] = y[k - 1] + -np.expm1(-0.1) * (2.0 * output[k - 1] - y[k - 1])
     with pytest.raises(RecordingError, match=r"swapped|other way round"):
         diagnose(Recording(t, 50.0 + y + rng.normal(0.0, 0.05, 900), output))
+
+
+@pytest.mark.parametrize(("Kp", "Ti"), [(0.3, 10.0), (0.1, 20.0), (0.05, 5.0)])
+def test_a_coarse_sensor_in_a_loop_is_not_taken_for_swapped_columns(Kp, Ti):
+    """A controller follows the PV as smoothly as a process would; the PV goes from one level to the next."""
+    rng = np.random.default_rng(0)
+    set_point, y, integral, output, pv = np.repeat(rng.uniform(-8.0, 8.0, 5), 100), 0.0, 0.0, [], []
+    for wanted in set_point.tolist():
+        pv.append(float(round(y + rng.normal(0.0, 0.02))))
+        integral += Kp * (wanted - pv[-1]) / Ti
+        output.append(Kp * (wanted - pv[-1]) + integral + rng.normal(0.0, 0.05))
+        y += -np.expm1(-0.05) * (1.5 * output[-1] - y)
+    require_not_swapped(Recording(np.arange(500.0), 40.0 + np.array(output), 60.0 + np.array(pv)))
 
 
 def test_a_gap_is_left_out_with_a_note():

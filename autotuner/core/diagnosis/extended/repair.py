@@ -2,7 +2,8 @@
 
 gap       t_k+1 - t_k > 10 times its median, at a few places:  the longest part between gaps is used
 swapped   the PV has few levels and jumps between them, the output never repeats a value, and a lag driven by
-          the PV explains the output:  refused
+          the PV explains the output:  refused. A PV that passes none of its levels is that of a coarse sensor in a
+          loop, whose controller follows it as a process would
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.identification.advice import FEW_VALUES
 from autotuner.core.recording import Recording
 from autotuner.errors import RecordingError
 
@@ -43,7 +45,9 @@ def require_not_swapped(recording: Recording) -> None:
 
 def _looks_swapped(recording: Recording) -> bool:
     moves, answers = np.diff(recording.output) != 0.0, np.diff(recording.pv) != 0.0
-    few = np.unique(recording.pv).size <= LEVELS
+    levels, at = np.unique(recording.pv, return_inverse=True)
+    passes_none = levels.size > FEW_VALUES and np.abs(np.diff(at)).max() <= 1
+    few = levels.size <= LEVELS and not passes_none
     return bool(few and moves.mean() > MOVING and answers.mean() < 1.0 - STANDING)
 
 
