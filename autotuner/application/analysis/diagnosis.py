@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.recording import Recording
 
-USUAL_LIMIT_MS = 20_000.0
-"""Processor time of a search without a limit, ms: ten times the usual. No record keeps a worker for a minute, and a
-busy machine does not change a verdict as a limit on the wall clock would."""
+USUAL_LIMIT_MS = 60_000.0
+"""Processor time of a search without a limit, ms: four times that of the longest searches on a quiet machine. Beside
+other programs the same search takes up to twice the processor time, and its verdict must not depend on these."""
 
 
 def diagnose(
@@ -41,7 +41,7 @@ def diagnose(
     requested : Design
         Design of the gains before and after; by default those of the goal ``balanced``.
     time_limit_s : float, optional
-        Time limit of the search, s; by default 20 s of processor time. After it, the verdict is ``unexplained`` with
+        Time limit of the search, s; by default 60 s of processor time. After it, the verdict is ``unexplained`` with
         the best effects so far. The process alone and the report, one or two seconds, are computed in any case.
     on_progress : callable, optional
         Called with a sentence on the progress of the search.
