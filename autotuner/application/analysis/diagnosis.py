@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from autotuner.core.recording import Recording
 
 USUAL_LIMIT_MS = 60_000.0
-"""Processor time of a search without a limit, ms: four times that of the longest searches on a quiet machine. Beside
-other programs the same search takes up to twice the processor time, and its verdict must not depend on these."""
+"""Processor time of a search without a limit, ms. The longest known takes 37 s, two effects in a loop. The same search
+takes up to twice its processor time beside other programs, and its verdict should not depend on these."""
 
 
 def diagnose(

@@ -181,11 +181,10 @@ class Interval:
         integral = state.integral + self.mean_Kih * (state.set_point - state.filtered + state.set_point - filtered)
         damped = state.damped + self.damping * (slope - state.damped)
         wanted = self.bKp * set_point - self.Kp * filtered + integral - self.Kd * damped
-        before = state.output
-        low, high = max(before - self.reach, self.settings.low), min(before + self.reach, self.settings.high)
-        output = min(max(wanted, low), high)
-        unwound = integral + self.unwinding * (output - wanted) if output != wanted else integral
-        return PidState(t, pv, set_point, filtered, slope, unwound, output, damped)
+        low, high = state.output - self.reach, state.output + self.reach
+        output = min(max(wanted, low, self.settings.low), high, self.settings.high)
+        integral += self.unwinding * (output - wanted)
+        return PidState(t, pv, set_point, filtered, slope, integral, output, damped)
 
 
 def _motion_of_filter(Tf: float, h: float) -> tuple[tuple[float, float], tuple[float, float]]:

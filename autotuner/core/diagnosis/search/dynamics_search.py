@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
 ADDED = (0.3, 0.7)
-"""Dead times to begin with where the process alone has none, in typical times between moves of the output."""
-NO_DELAY = 0.5
-"""Dead time, in samples, that counts as none."""
+"""Dead times to begin with where the process alone has none, in hundredths of the record (`Extended.unit_s`)."""
+SHORTEST = 0.5
+"""Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
 
 def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -55,7 +55,7 @@ def with_varying_dead_time(context: FitContext, base: Base, effects: Sequence[Ef
 
 def _has_no_delay(candidate: Fitted) -> bool:
     _, delay_s, _ = candidate.problem.split(candidate.theta)
-    return delay_s < NO_DELAY * candidate.problem.dataset.data.interval_s
+    return delay_s < SHORTEST * candidate.problem.dataset.data.interval_s
 
 
 def _with_dead_time(context: FitContext, origin: Fitted, added: float) -> Fitted:
