@@ -116,7 +116,7 @@ def test_a_load_that_rises_slowly_is_the_simulators(plant):
             "drift:settling",
             (math.log(40.0 / SPAN_S), 90.0 / SPAN_S),
             CurvedDrift(6.0, 40.0, 90.0),
-            {"pv_in_all": 6.0, "time_constant_s": 40.0},
+            {"pv_in_all": 6.0, "time_constant_s": 40.0, "from_s": 90.0},
         ),
         ("bias_step", (120.5 / SPAN_S,), BiasStep(120.5, 3.0), {"at_s": 120.5, "size": 3.0}),
     ],

@@ -119,7 +119,18 @@ def test_a_load_that_comes_and_goes_with_the_answer_to_a_move_is_a_hypothesis():
     for at_s, lasts_s in ((60.0, 12.0), (48.0, 12.0), (90.0, 105.5)):
         moved = replace(pulse, parameters={"size": 5.0, "at_s": at_s, "lasts_s": lasts_s})
         assert len(doubts_about_moments((moved,), dataset, 15.0)) == 1
-    assert doubts_about_moments((replace(pulse, name="drift", parameters={"at_s": 60.0}),), dataset, 15.0) == []
+    wave = replace(pulse, name="periodic_disturbance", parameters={"from_s": 60.0})
+    assert doubts_about_moments((wave,), dataset, 15.0) == []
+
+
+@pytest.mark.parametrize(
+    ("from_s", "half_s", "doubts"), [(64.0, 6.0, 1), (64.0, 3.0, 0), (110.0, 6.0, 0), (70.0, 40.0, 0), (-30.0, 6.0, 0)]
+)
+def test_a_drift_that_may_begin_with_the_answer_to_a_move_is_a_hypothesis(from_s, half_s, doubts):
+    """Moves arrive at 60 and 195 s. A beginning known to within 40 s may coincide by chance."""
+    sizes = {"pv_in_all": 5.0, "time_constant_s": 40.0, "from_s": from_s}
+    drift = FoundEffect("drift", "disturbance", sizes, {"from_s": (from_s - half_s, from_s + half_s)}, 0.9)
+    assert len(doubts_about_moments((drift,), dataset_of(two_steps(0.0)), 15.0)) == doubts
 
 
 def test_a_move_that_arrives_late_is_not_explained_by_a_load(among):

@@ -1,7 +1,8 @@
 """Errors by part, shares of a residual, evidence and coincidence, of models whose residuals are written down."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from autotuner.core.diagnosis.findings.errors_by_part import Errors
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
 from autotuner.core.diagnosis.record.dataset import Dataset, dataset_of
 from autotuner.core.diagnosis.record.parts import parts_of
+from autotuner.core.diagnosis.search import simplify
 from autotuner.core.diagnosis.search.coincidence import answers_a_move
 from autotuner.core.diagnosis.search.judge import held_out_gain, weigh, weighs_enough
+from autotuner.core.diagnosis.search.search import best_on_both_parts
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_of, unevenness_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, Structure
 
@@ -54,6 +57,8 @@ class Model:
     @property
     def mean_square(self):
         return float(np.mean(self.residual**2))
+
+    misfit = mean_square
 
     @property
     def rms(self):
@@ -287,6 +292,30 @@ def test_a_further_effect_has_its_weight_in_the_whole_fall(before, after, expect
 
 
 # ------------------------------------------------------------------------------------------------------- coincidence
+
+
+def beside_a_free_load(context, *errors, size=3):
+    model = model_of(context, COURSE, by_parts(*errors, 0.0), size=size)
+    effects = tuple(SimpleNamespace(reads_as=reads_as, key="") for reads_as in ("ambient", None))
+    return replace(model, problem=replace(model.problem, effects=effects))
+
+
+def test_loads_of_free_shape_are_ranked_by_the_criterion_among_those_that_lead():
+    """Their errors elsewhere are the loads': of two that lead, the closer one; one that is behind another stays so."""
+    _, context = seen_of(COURSE)
+    far, close = beside_a_free_load(context, 1.0, 2.0), beside_a_free_load(context, 0.9, 2.1)
+    plain, behind = model_of(context, COURSE, by_parts(1.1, 2.1, 0.0)), beside_a_free_load(context, 0.8, 2.5)
+    assert best_on_both_parts(context, [plain, behind, far, close]) == [close, far, plain, behind]
+    assert best_on_both_parts(context, [behind, plain]) == [plain, behind]
+
+
+@pytest.mark.parametrize(("selected", "stays"), [(1.3, False), (1.5, True)])
+def test_a_plainer_explanation_has_to_foretell_the_other_part_too(monkeypatch, selected, stays):
+    monkeypatch.setattr(simplify, "is_physical", lambda _: True)
+    _, context = seen_of(COURSE)
+    rich = model_of(context, COURSE, by_parts(1.0, 1.0, 0.0), size=4)
+    plain = model_of(context, COURSE, by_parts(1.0, selected, 0.0))
+    assert (simplify._plainer(context, rich, plain) is rich) is stays
 
 
 def moved_at(*at, n=N):

@@ -1,5 +1,7 @@
 """Two effects in one record: either one is searched again beside the other. The records are the simulator's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.judge import held_out, is_supported, weigh
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_limit
-from autotuner.core.diagnosis.search.trace import _exchanged
+from autotuner.core.diagnosis.search.trace import _exchanged, dropped_back
 from autotuner.core.signals.noise import rms
 from autotuner_sim import Backlash, BiasStep, Drift, LoadStep, PeriodicLoad, Saturation
 from tests.diagnosis.simulated import LAG, at_the_truth, moves, of_form, record
@@ -90,3 +92,31 @@ def test_a_load_is_found_beside_a_jump_of_the_reading():
     assert found.rms < 1.1 * SIGMA
     assert found.sizes()[0] == pytest.approx({"at_s": 150.0, "size": 3.0}, rel=0.03)
     assert found.sizes()[1] == pytest.approx({"at_s": 310.0, "size": 2.0}, rel=0.03)
+
+
+def with_a_column(**physics):
+    """A record whose PV follows a further column a little, beside a limit of the output."""
+    outside = 8.0 * np.sin(np.arange(600.0) / 37.0)
+    plain = noisy(actuators=[Saturation(0.0, 43.0)], **physics)
+    recording = Recording(plain.t, plain.output, plain.pv + 0.002 * outside, extra={"flow": outside})
+    dataset = dataset_of(recording)
+    column = next(e for e in loads_of(dataset) if e.measured)
+    limit = of_form(saturations(dataset), "saturation:high")
+    at = [(limit, [3.0 / dataset.swing]), (column, [-5.0])]
+    pair = at_the_truth(recording, LAG, *at, dataset=dataset)
+    return bench_of(dataset), at_the_truth(recording, LAG, dataset=dataset), pair
+
+
+def test_no_other_effect_is_searched_in_place_of_a_measured_disturbance():
+    context, _, pair = with_a_column(offsets=[Drift(0.01)])
+    drift = of_form(loads_of(context.dataset), "drift")
+    assert {c.names for c in _exchanged(context, [pair], [drift])} == {("measured_disturbance", "drift")}
+
+
+@pytest.mark.parametrize(("hidden", "kept"), [({"loads": [PeriodicLoad(0.3, 40.0)]}, True), ({}, False)])
+def test_a_column_stays_while_more_than_noise_is_left(hidden, kept):
+    """Its influence is smaller than the noise: no figure of the record asks for it."""
+    context, alone, pair = with_a_column(**hidden)
+    found = dropped_back(context, SimpleNamespace(best=alone, held=None), pair)
+    assert ("measured_disturbance" in found.names) is kept
+    assert "saturation" in found.names

@@ -2,9 +2,11 @@
 
 import functools
 import itertools
+import math
 
 import numpy as np
 import pytest
+import scipy
 
 import autotuner
 from autotuner import Recording, diagnose
@@ -63,6 +65,20 @@ def steps(sigma=0.02, levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0)):
 def diagnosed(play=None):
     """Return the diagnosis of a tuning's record, with such a play of the actuator."""
     return diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[Backlash(play)] if play else ()))
+
+
+@pytest.mark.usefixtures("without_gains")
+def test_noise_is_that_of_the_closest_explanation(among):
+    """A load twice as large as the moves: the process alone errs so quickly that its residual looks twice as noisy."""
+    among("load_step")
+    sigma, t = 0.04, np.arange(200.0)
+    output = np.where(t >= 20.0, np.where(t // 12 % 2 == 0, 2.0, -2.0), 0.0)
+    arrived = np.concatenate((np.zeros(6), output))[: t.size] - 8.0 * (t > 100.0)
+    pv = scipy.signal.lfilter([0.0, 2.5 * -math.expm1(-0.25)], [1.0, -math.exp(-0.25)], arrived)
+    noise = np.random.default_rng(1).normal(0.0, sigma, t.size)
+    found = diagnose(Recording(t, 40.0 + output, 80.0 + pv + noise))
+    assert [effect.name for effect in found.effects] == ["load_step"]
+    assert found.error["fitted"].noise == pytest.approx(sigma, rel=0.2)
 
 
 def spots(found):

@@ -143,7 +143,7 @@ def _drifts(dataset: Dataset) -> tuple[Effect, ...]:
             settle,
             [(math.log(time), begin) for time in (0.1, 0.4) for begin in (0.0, 0.3)],
             lambda view, p: [-np.expm1(-np.maximum(view.t / span - p[1], 0.0) / math.exp(p[0]))],
-            lambda p, c, _g: {"pv_in_all": c[0], "time_constant_s": math.exp(p[0]) * span},
+            lambda p, c, _g: {"pv_in_all": c[0], "time_constant_s": math.exp(p[0]) * span, "from_s": p[1] * span},
         ),
     )
     return tuple(

@@ -8,7 +8,7 @@
     sign         in a closed loop, the gain has the same sign without the effects
     selection    its later half is fitted as well as the whole; the effects do not increase the error on it
     readings     a sensor that repeats its readings has sent enough new ones
-    answer       no load begins or ends where one of a few moves of the output arrives at the PV
+    answer       no load begins or ends, and no drift begins, where one of a few moves of the output arrives at the PV
 
 Invariants: all reasons follow from fit and selection part; each one is a sentence for the reader.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE
 from autotuner.core.diagnosis.record.sensor import FEWEST_NEW, new_readings
-from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
+from autotuner.core.diagnosis.search.coincidence import BEGINS, DRIFT, LOAD, answers_a_move
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import NORMAL_95
 
@@ -110,12 +110,22 @@ def doubts_about_readings(grid: Grid | None, pv: FloatArray) -> list[str]:
 
 
 def doubts_about_moments(effects: Sequence[FoundEffect], dataset: Dataset, delay_s: float) -> list[str]:
-    """Return the loads that coincide with the response to a move of the output, and may be its error."""
+    """Return the loads and drifts that coincide with the response to a move of the output, and may be its error.
+
+    A drift that settles bends slowly: its beginning is known to within its interval only.
+    """
     return [
         f"{effect.name} is a hypothesis: it begins or ends where a move of the output arrives"
         for effect in effects
-        if effect.name == LOAD and answers_a_move(effect.parameters, dataset, delay_s)
+        if (effect.name == LOAD and answers_a_move(effect.parameters, dataset, delay_s))
+        or (effect.name == DRIFT and answers_a_move(effect.parameters, dataset, delay_s, _error_of_beginning(effect)))
     ]
+
+
+def _error_of_beginning(effect: FoundEffect) -> float:
+    """Return half the width of the interval of the time at which an effect begins, s; 0 without one."""
+    ends = [effect.interval95[name] for name in BEGINS if name in effect.interval95]
+    return (ends[0][1] - ends[0][0]) / 2.0 if ends else 0.0
 
 
 def _open_amount(effect: FoundEffect) -> str:

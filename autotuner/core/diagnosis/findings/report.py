@@ -108,7 +108,7 @@ def reported(
     """
     effects, found, spread_s = _all_effects(context, found, sensor, model)
     coloured = None if effects else coloured_noise(context, found.chosen)
-    noise = max(noise_of(context, first.best), 0.0 if coloured is None else coloured.noise)
+    noise = max(min(noise_of(context, first.best), found.noise), 0.0 if coloured is None else coloured.noise)
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
     covariance = process_covariance(context, found.chosen, neighbours(context, found.chosen, found.pool))

@@ -1,4 +1,4 @@
-"""Detects a load that begins or ends where a move of the output arrives, and may be an error of its response."""
+"""Detects a disturbance that begins or ends where a move of the output arrives, and may be an error of its response."""
 
 from __future__ import annotations
 
@@ -15,24 +15,27 @@ if TYPE_CHECKING:
 FEW_MOVES, NEAR, COINCIDENCE = 10, 2.0, 0.1
 """Most moves for which an event at the response to one is not distinguished from it; samples that coincide; the share
 of the record that lies so near to a response that a coincidence is chance."""
-LOAD = "load_step"
-BEGINS, LASTS = "at_s", "lasts_s"
+LOAD, DRIFT = "load_step", "drift"
+BEGINS, LASTS = ("at_s", "from_s"), "lasts_s"
 
 
-def answers_a_move(sizes: Mapping[str, float], dataset: Dataset, delay_s: float) -> bool:
-    """Return whether a load begins or ends with the answer to one of a few moves, which chance would hardly make.
+def answers_a_move(sizes: Mapping[str, float], dataset: Dataset, delay_s: float, error_s: float = 0.0) -> bool:
+    """Return whether a disturbance begins or ends with the answer to one of a few moves, which chance would hardly do.
 
     Parameters
     ----------
     sizes : mapping of str to float
-        Sizes of the load.
+        Sizes of the disturbance.
     dataset : Dataset
         The record.
     delay_s : float
         Dead time, s.
+    error_s : float
+        By how much its beginning may be off, s.
     """
     arrivals = dataset.data.held.times[1:] + delay_s
-    near_s, begins = NEAR * dataset.data.interval_s, sizes.get(BEGINS, math.inf)
+    near_s = max(NEAR * dataset.data.interval_s, error_s)
+    begins = next((sizes[name] for name in BEGINS if name in sizes), math.inf)
     ends = [begins, begins + sizes[LASTS]] if LASTS in sizes else [begins]
     if not 0 < arrivals.size <= FEW_MOVES or 2.0 * near_s * arrivals.size * len(ends) >= COINCIDENCE * dataset.span_s:
         return False

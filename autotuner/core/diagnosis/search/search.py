@@ -120,14 +120,12 @@ def better_of(context: FitContext, explanations: list[Fitted]) -> Fitted:
 def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> list[Fitted]:
     """Return candidates by that, the best first, the plainer one where that is the same.
 
-    Where the best one has a load of free shape beside another effect, its error on the other part is that of the load:
-    those that have one are ranked by the criterion.
+    Where the best ones have a load of free shape beside another effect, their error on the other part is that of the
+    load: they are ranked by the criterion.
     """
     ranked = without_rounding(candidates, context.on_both_parts, plainness)
-    if not ranked or not is_beside_free_load(ranked[0]):
-        return ranked
-    free = [c for c in ranked if is_beside_free_load(c)]
-    return [*context.by_criterion(free, min(map(context.colour, free))), *(c for c in ranked if c not in free)]
+    free = list(takewhile(is_beside_free_load, ranked))
+    return [*context.by_criterion(free, min(map(context.colour, free), default=1.0)), *ranked[len(free) :]]
 
 
 def refined(context: FitContext, candidate: Fitted) -> Fitted:

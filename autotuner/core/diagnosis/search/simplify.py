@@ -10,6 +10,7 @@ lags -> three, which is no effect, but whose absence biases the gain by many of 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -42,6 +43,8 @@ STRONG = 10.0
 """Improvement required of a drift shaped like the response: very strong evidence (Kass, Raftery 1995)."""
 FLAT = 0.05
 """Ratio of two gains of an actuator under which the smaller one is zero."""
+MUCH_LARGER = 1.4
+"""Ratio of the errors on the part not fitted from which the plainer explanation fails there: twice the squares."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -135,10 +138,11 @@ def with_best_moment(context: FitContext, chosen: Fitted) -> Fitted:
 
 
 def _plainer(context: FitContext, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:
-    """Return the plainer explanation unless the criterion speaks against it by `more`, or physics does."""
+    """Return the plainer explanation unless the criterion speaks against it by `more`, or the other part or physics."""
     inflated = context.colour(chosen)
     good = is_physical(plainer) and context.criterion(plainer, inflated) <= context.criterion(chosen, inflated) + more
-    return plainer if good else chosen
+    left = math.hypot(context.held_out_error(chosen), context.dataset.floor)
+    return plainer if good and context.held_out_error(plainer) < MUCH_LARGER * left else chosen
 
 
 def _values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:

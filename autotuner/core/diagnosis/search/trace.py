@@ -220,12 +220,18 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
     """Return pairs with either effect of the closest ones searched again, from the process that the two leave.
 
     A free load beside the right effect follows the other one, and shows the process; a first effect that was accepted
-    alone may stand in for another, which is found beside the second only.
+    alone may stand in for another, which is found beside the second only. A measured disturbance is known, and stays.
     """
     if context.dataset.tuned or any(is_noise(context, c) for c in found):
         return []
     pairs = [c for c in _distinct(found) if len(c.names) == PAIR][:EXCHANGED]
-    kept = [(c, e) for c in pairs for e in c.problem.effects if e.reads_as is None]
+    known = [any(e.measured for e in c.problem.effects) for c in pairs]
+    kept = [
+        (c, e)
+        for c, measured in zip(pairs, known, strict=True)
+        for e in c.problem.effects
+        if e.reads_as is None and e.measured >= measured
+    ]
     return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
 
 
@@ -440,8 +446,8 @@ def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
     for effect in sorted(best.problem.effects, key=lambda e: e.measured):
         simpler = without(context, best, effect)
         evidence = weigh(context, simpler, best)
-        if effect.measured and is_helpful(evidence):
-            continue
+        if effect.measured and (is_helpful(evidence) or not is_noise(context, simpler)):
+            continue  # it is known to act: a guess that leaves more than noise does not take its place
         if effect.name in SLIPS and that_stick(context, [simpler, best]):
             continue
         needed = is_supported(evidence, first=False, seen_held_out=not effect.unseen_after)
