@@ -55,8 +55,9 @@ def assert_named_alone(name):
         slack = 0.01 * abs(value)
         assert low - slack <= value <= high + slack
     assert effect.advice
-    held = found.error["held_out"]
-    assert held.after < 1.2 * held.noise < held.before
+    held, sigma = found.error["held_out"], swing_of_pv(PLANTS[kind], SAMPLE_S[kind]) / 100.0  # 40 dB
+    assert held.noise == pytest.approx(sigma, rel=0.08)
+    assert held.after < 1.31 * sigma < held.before
     plant = PLANTS[kind].parameters() if hasattr(PLANTS[kind], "parameters") else {"K": PLANTS[kind].K}
     assert pytest.approx(plant["K"], rel=0.03) == found.process.K
 

@@ -291,6 +291,17 @@ def test_a_further_effect_has_its_weight_in_the_whole_fall(before, after, expect
     assert weighs_enough(context, alone, first, second) is expected
 
 
+@pytest.mark.parametrize(("effects", "before", "after", "expected"), [
+    (2, 9.0, 8.0, True), (3, 9.0, 8.0, False), (3, 5.0, 2.0, True),
+])  # fmt: skip
+def test_a_third_effect_has_to_complete_the_explanation(effects, before, after, expected):
+    _, context = seen_of(COURSE)
+    alone, first, last = (model_of(context, COURSE, size * WHITE[0]) for size in (10.0, before, after))
+    named = tuple(SimpleNamespace(measured=k == 0, reads_as=None) for k in range(effects + 1))  # the first has a column
+    last = replace(last, problem=replace(last.problem, effects=named))
+    assert weighs_enough(context, alone, first, last) is expected
+
+
 # ------------------------------------------------------------------------------------------------------- coincidence
 
 

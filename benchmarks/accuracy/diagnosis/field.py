@@ -25,6 +25,7 @@ is expected:
 
 import argparse
 import json
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -167,9 +168,9 @@ def like_the_hoop(row, _rows):
 
 
 def better(row, rows):
-    """Return whether the column is taken in, and the error is lower with it."""
-    other = rows.get(row["beside"])
-    return bool(COLUMNS & set(row["effects"])) and (other is None or row["held_after"] < other["held_after"])
+    """Return whether the column is taken in, and the error is lower with it; one that is refused without has none."""
+    other = rows.get(row["beside"], {"held_after": math.nan})
+    return bool(COLUMNS & set(row["effects"])) and not row["held_after"] >= other["held_after"]
 
 
 COLUMNS_OF_TCLAB = {

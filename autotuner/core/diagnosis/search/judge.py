@@ -54,6 +54,8 @@ FAINT = 2e-3
 """Weight below which this holds in any case: without noise, any form may be corrected."""
 FORETOLD = 0.02
 """The same weight on the held-out part, from which an effect that leaves only noise is accepted."""
+SEVERAL = 2
+"""Effects, but for measured ones, beside which a further one has to complete the explanation."""
 HALVED = 0.5
 """Ratio of the misfits on the held-out part up to which a further effect predicts it."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
@@ -202,7 +204,10 @@ def _part_of_fall(alone: float, before: float, after: float) -> float:
 
 
 def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Return whether a further effect is more than a mend of the first one's form."""
+    """Return whether a further effect is more than a mend of the first one's form.
+
+    With two effects, a third one follows what their forms leave: it has to leave only noise, or halve both errors.
+    """
     weight = _part_of_fall(alone.mean_square, before.mean_square, after.mean_square)
     noise = noise_of(context, after)
     held_alone = context.held_out_error(alone)
@@ -212,4 +217,6 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
     foretold = _part_of_fall(held_alone**2, held_before**2, held_after**2)
-    return weight > LEAST_WEIGHT or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))
+    third = sum(not effect.measured for effect in after.problem.effects) > SEVERAL
+    heavy = weight > LEAST_WEIGHT and not third
+    return heavy or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))
