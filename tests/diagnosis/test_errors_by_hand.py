@@ -280,15 +280,15 @@ def test_of_processes_that_integrate_the_slopes_decide():
     assert held_out_gain(context, *away)[0] > 1.0
 
 
-@pytest.mark.parametrize(("before", "after", "expected"), [
-    (9.0, 8.0, True),  # 17 of the 80 squares that both take away
-    (2.0, 1.9, False),  # 0.4 of 96
+@pytest.mark.parametrize(("sizes", "expected"), [
+    ((10.0, 9.0, 8.0), True),  # 17 of the 80 squares that both take away
+    ((10.0, 2.0, 1.9), False),  # 0.4 of 96
+    ((100.0, 3.0, 1.0), True),  # 8 of 9,999, but noise alone is left
+    ((100.0, 1.6, 1.0), False),
 ])  # fmt: skip
-def test_a_further_effect_has_its_weight_in_the_whole_fall(before, after, expected):
-    pv = COURSE
-    _, context = seen_of(pv)
-    alone, first, second = (model_of(context, pv, size * WHITE[0]) for size in (10.0, before, after))
-    assert weighs_enough(context, alone, first, second) is expected
+def test_a_further_effect_has_its_weight_in_the_whole_fall_or_leaves_noise_alone(sizes, expected):
+    _, context = seen_of(COURSE)
+    assert weighs_enough(context, *(model_of(context, COURSE, size * WHITE[0]) for size in sizes)) is expected
 
 
 @pytest.mark.parametrize(("effects", "before", "after", "expected"), [

@@ -51,13 +51,16 @@ FIRST_SHARE, FURTHER_SHARE = 0.45, 0.6
 LEAST_WEIGHT = 0.04
 """Weight below which a further effect only corrects the form of the first one, unless only noise remains."""
 FAINT = 2e-3
-"""Weight below which this holds in any case: without noise, any form may be corrected."""
+"""Weight below which this holds, too, unless both parts have only noise left: without noise, any form may be
+corrected."""
 FORETOLD = 0.02
 """The same weight on the held-out part, from which an effect that leaves only noise is accepted."""
 SEVERAL = 2
 """Effects, but for measured ones, beside which a further one has to complete the explanation."""
 HALVED = 0.5
 """Ratio of the misfits on the held-out part up to which a further effect predicts it."""
+NOISE_ELSEWHERE = 1.25
+"""Ratio of misfit to noise on the held-out part, often short, below which it has nothing but noise."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
 """Ratio of misfit to noise that counts as noise, and from which a model is never called adequate."""
 
@@ -216,7 +219,8 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
+    silences = completes and held_after < NOISE_ELSEWHERE * noise < HALVED * held_before
     foretold = _part_of_fall(held_alone**2, held_before**2, held_after**2)
     third = sum(not effect.measured for effect in after.problem.effects) > SEVERAL
     heavy = weight > LEAST_WEIGHT and not third
-    return heavy or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))
+    return heavy or silences or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))

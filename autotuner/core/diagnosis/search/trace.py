@@ -30,6 +30,7 @@ from autotuner.core.diagnosis.search.friction_search import (
     with_wave,
 )
 from autotuner.core.diagnosis.search.judge import (
+    NOISE_ELSEWHERE,
     NOTHING_LEFT,
     VISIBLE,
     is_helpful,
@@ -73,8 +74,6 @@ if TYPE_CHECKING:
 
 MOST_EFFECTS = 3
 """Most effects of one explanation: with more free effects the search could explain any record."""
-HELD_OUT_NOISE = 1.25
-"""Ratio of misfit to noise on the held-out part below which no effect is searched."""
 UNEVEN, WORSE = 0.6, 1.25
 """Ratio of misfits below which delays of every move, many parameters, are accepted; and the largest ratio on
 the held-out part, whose moves have their own delays."""
@@ -392,7 +391,7 @@ def _has_an_answer(candidate: Fitted) -> bool:
 def is_noise(context: FitContext, candidate: Fitted) -> bool:
     """Return whether a candidate leaves white noise of the size that the sensor has."""
     noise, held = noise_of(context, candidate), context.held_out_residual(candidate)
-    small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (HELD_OUT_NOISE * noise) ** 2
+    small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (NOISE_ELSEWHERE * noise) ** 2
     return small and context.colour(candidate) == 1.0
 
 

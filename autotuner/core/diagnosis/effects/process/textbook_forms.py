@@ -153,7 +153,7 @@ def _slow_mode(dataset: Dataset) -> tuple[Effect, ...]:
     def soak(form: str, ratios: tuple[float, ...]) -> Effect:
         def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
             when = view.t - view.delay_s
-            return [Lag(ratio * math.exp(p[0])).forced(view.position, when)[0][0] for ratio in ratios]
+            return [Lag(ratio * math.exp(p[0])).forced(view.input, when)[0][0] for ratio in ratios]
 
         def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
             slow = sum(c)
@@ -181,7 +181,7 @@ def _inverse_response() -> Effect:
     def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
         motion = view.motion
         if isinstance(motion, Lag | Pair):
-            return [motion.forced(view.position, view.t - view.delay_s)[1][0]]
+            return [motion.forced(view.input, view.t - view.delay_s)[1][0]]
         return [np.zeros(view.t.size)]
 
     return Effect(
