@@ -224,12 +224,11 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
     if context.dataset.tuned or any(is_noise(context, c) for c in found):
         return []
     pairs = [c for c in _distinct(found) if len(c.names) == PAIR][:EXCHANGED]
-    known = [any(e.measured for e in c.problem.effects) for c in pairs]
     kept = [
         (c, e)
-        for c, measured in zip(pairs, known, strict=True)
+        for c in pairs
         for e in c.problem.effects
-        if e.reads_as is None and e.measured >= measured
+        if e.reads_as is None and not any(other.measured for other in c.problem.effects if other is not e)
     ]
     return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
 
