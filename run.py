@@ -55,8 +55,10 @@ PACKAGE = re.compile(r"^\S.*\n?(?:\s.*\n?)*", re.MULTILINE)
 """A package in a file of pins: its version, then its hashes in lines that begin with a space."""
 INSTALLERS = 2
 """Processes that install packages at once: as many as the smallest machine has processors."""
-COMPILING = ["-m", "compileall", "-qq", "-j", "0", "-x", r"[/\\]tests?[/\\]"]
-"""How what was installed is compiled: on all processors, where pip takes one, and without the packages' own tests."""
+UNCOMPILED = r"[/\\](tests?|pip|setuptools|debugpy|fontTools|IPython|mypy|mypyc|graphql|jedi)[/\\]"
+"""Folders that are not compiled beforehand: the packages' own tests, and what one program at most imports in part."""
+COMPILING = ["-m", "compileall", "-qq", "-j", "0", "-x", UNCOMPILED]
+"""How what was installed is compiled: on all processors, where pip takes one."""
 
 CHECKS = {
     "ruff check": ["-m", "ruff", "check"],

@@ -7,6 +7,7 @@ own fixtures (those of its module or of the session) does not count.
 
 import asyncio
 import asyncio.runners
+import collections
 import contextlib
 import gc
 import hashlib
@@ -52,6 +53,7 @@ THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
 """How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
 FROZEN = gc.get_freeze_count()
 """Objects that the interpreter itself has put aside: Python 3.12 does at its start."""
+OPEN_FILES = "/proc/self/fd"
 GRACE_S = 2.0
 """Longest wait for a thread or a worker process that is already on its way out, s."""
 
@@ -62,6 +64,18 @@ def shared():
     if not SHARED.is_dir():
         pytest.skip(f"the reference material is absent: {SHARED}")
     return SHARED
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Leave cases of a test marked `one_of` to the long run, before the selection by marks."""
+    cases = collections.Counter()
+    for item in items:
+        if (marker := item.get_closest_marker("one_of")) is not None:
+            case = item.nodeid.partition("[")[0]
+            if cases[case] % marker.args[0]:
+                item.add_marker(pytest.mark.long)
+            cases[case] += 1
 
 
 @pytest.hookimpl(trylast=True)
@@ -255,10 +269,9 @@ def _umask():
 
 def _open_files():
     """Yield what each open file is, where /proc tells."""
-    folder = Path("/proc/self/fd")
-    for link in folder.iterdir() if folder.is_dir() else ():
+    for link in os.listdir(OPEN_FILES) if os.path.isdir(OPEN_FILES) else ():  # noqa: PTH112, PTH208 - before each test
         with contextlib.suppress(OSError):  # the listing's own handle is gone already
-            yield str(link.readlink())
+            yield os.readlink(f"{OPEN_FILES}/{link}")  # noqa: PTH115 - and after it
 
 
 def _left(before):

@@ -84,6 +84,7 @@ def test_what_is_no_cascade_is_refused_before_anything_moves(tmp_path, capsys, c
     assert why in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.long  # both loops of a plant are tuned above
 def test_the_result_of_the_inner_loop_is_shown_where_the_outer_one_cannot_be_tuned(tmp_path, capsys):
     apart = EXAMPLE.replace(OUTER, "").replace("output0 = 200.0", "output0 = 120.0")
     assert tune(tmp_path, config=apart) == 1

@@ -95,6 +95,7 @@ def both_moved(rng):
     return "Time,Q1,Q2,T1,T2\n" + "\n".join(",".join(f"{value:.6g}" for value in row) for row in rows)
 
 
+@pytest.mark.long  # the paths of a simulated board show the same identification
 def test_one_record_in_which_both_outputs_moved_serves_as_both(tmp_path, capsys):
     both = tmp_path / "both.csv"
     both.write_text(both_moved(np.random.default_rng(8)))
@@ -106,6 +107,7 @@ def test_one_record_in_which_both_outputs_moved_serves_as_both(tmp_path, capsys)
     assert found["relative_gain"] == pytest.approx(0.6 * 0.5 / (0.6 * 0.5 - 0.2 * 0.2), rel=0.02)
 
 
+@pytest.mark.long  # other refusals are beside it
 def test_an_output_that_is_said_to_have_moved_and_did_not_is_refused(tmp_path, capsys):
     lines = both_moved(np.random.default_rng(8)).splitlines()
     cells = [line.split(",") for line in lines]

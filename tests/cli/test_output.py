@@ -29,6 +29,7 @@ def shell(line, **environment):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.long  # tables without frames are in test_commands
 def test_an_encoding_without_frames_is_no_error():
     code, out, err = shell(GAINS, PYTHONIOENCODING="ascii")
     assert (code, err) == (0, "")
@@ -36,11 +37,13 @@ def test_an_encoding_without_frames_is_no_error():
     assert "Kp" in out
 
 
+@pytest.mark.long  # a full standard output is the same call
 def test_a_reader_that_leaves_is_no_error():
     code, _, err = shell(f"{GAINS} | head -c 1 > /dev/null")
     assert (code, err) == (0, "")
 
 
+@pytest.mark.long  # the full one is the same error of the same call
 def test_a_closed_standard_output_is_no_traceback():
     assert shell(f"{GAINS} >&-") == (0, "", "")
 

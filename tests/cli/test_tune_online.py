@@ -7,6 +7,7 @@ import pytest
 from autotuner.cli import main
 
 
+@pytest.mark.long  # over HTTP in tests/service
 def test_the_demo_loop_is_tuned_beside_a_controller(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["tune", "--online", "2,8,0.6", "--json"]) == 0

@@ -40,7 +40,7 @@ def tuned(tmp_path, monkeypatch, capsys):
     return tune
 
 
-@pytest.mark.parametrize(("side", "K"), [("heat", 4.0), ("cool", 2.0)])
+@pytest.mark.parametrize(("side", "K"), [pytest.param("heat", 4.0, marks=pytest.mark.long), ("cool", 2.0)])
 def test_each_side_shows_its_own_gain_and_the_relay_stays_there(tuned, side, K):
     result, outputs = tuned(side)
     assert result["settings"]["side"] == side

@@ -46,6 +46,7 @@ def test_a_disturbance_beside_a_model_that_leaves_noise_asks_for_nothing(recordi
     assert any("a wave" in warning for warning in analysis.warnings) is asks
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("left", [0.15, -0.15])
 def test_what_is_left_of_an_earlier_motion_does_not_shift_the_gain(recording, left):
     """Three sigma of the noise that fade with the process's own lag; the relay part alone takes them for 11 % of K."""
@@ -82,6 +83,7 @@ def test_a_load_step_in_mid_experiment_costs_the_stretch_before_it_only(recordin
     assert error.held_out < 2.0 * error.noise_sigma
 
 
+@pytest.mark.long  # tests/core/test_late_load has its size and moment
 def test_a_load_in_the_tail_is_noted_and_asks_for_nothing(recording):
     """A load at the process's input, late in the tail: the answer of K 2, T 10 s to it, in closed form."""
     at_s = recording.t[-1] - 0.4 * (recording.t[-1] - recording.settings["segments"]["tail"])
@@ -92,6 +94,7 @@ def test_a_load_in_the_tail_is_noted_and_asks_for_nothing(recording):
     assert largest_sensitivity(Fopdt(2.0, 10.0, 1.5), analysis.gains.gains) == pytest.approx(1.4, abs=0.02)
 
 
+@pytest.mark.long  # a load step, above, asks for gains on parts
 def test_gains_hold_on_parts_only_where_these_are_of_one_process(recording):
     """A check under twice the gain belongs to another process than the relay's: there the gains are near the edge."""
     whole = identify(recording)
@@ -180,6 +183,7 @@ def test_a_record_that_no_effect_explains_gets_no_gains(recording):
     assert analysis.verdict.remedy
 
 
+@pytest.mark.long  # the next one shows a record that gets no gains
 def test_without_the_check_the_record_itself_is_judged(recording):
     load = 6.0 * np.sin(2.0 * np.pi * recording.t / 23.0)
     analysis = analyse(Recording(recording.t, recording.output, recording.pv + load))

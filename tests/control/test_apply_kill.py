@@ -135,7 +135,8 @@ def test_a_service_killed_between_two_registers(plc, everything):
         service = spawn(stack, "serve", "--json", "--config", plc.config)
         url = json.loads(service.stdout.readline())["listening"]
         client = stack.enter_context(httpx.Client(base_url=url, timeout=PATIENCE_S))
-        links = client.post("/v1/loops/TIC-101/tunings", json={"structure": "fopdt", "apply": True}).json()["links"]
+        asked = {"structure": "fopdt", "rule": "simc_pi", "apply": True}
+        links = client.post("/v1/loops/TIC-101/tunings", json=asked).json()["links"]
         in_between(plc)
         if everything:
             kill_all(service)

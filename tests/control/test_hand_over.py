@@ -60,6 +60,7 @@ def conducted(virtual, rig):
     return virtual(main())
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("manual", [0.0, 40.0], ids=["elsewhere", "where it is"])
 def test_a_manual_register_is_preloaded_before_the_mode_is_changed(virtual, manual):
     one, verdict, after = conducted(virtual, lambda: rig_with(manual, "taken"))

@@ -50,6 +50,7 @@ def test_a_stable_process_under_a_load_that_changes_gets_no_gains_for_an_unstabl
     assert any("whose load changes" in text for text in analysis.identification.warnings)
 
 
+@pytest.mark.long  # tests/core/test_first_try tunes one
 @pytest.mark.parametrize(
     "plant",
     [UnstableFopdt(1.0, 20.0, 4.0), pytest.param(UnstableFopdt(2.0, 50.0, 4.0), marks=pytest.mark.long)],

@@ -79,6 +79,7 @@ def test_the_online_row_of_the_thesis_over_modbus(virtual):
     assert json.loads(json.dumps(tuning.to_dict()))["settings"]["online"]["Kp"] == 4.2145
 
 
+@pytest.mark.long  # tests/service tunes a loop beside its controller
 def test_a_noisy_simulated_loop_is_tuned_within_its_limits(rig, virtual):
     keys = {"relay": {"amplitude": 10.0, "online": {"Kp": 2.0, "Ti": 8.0, "Td": 0.6}}}
     case = rig(**keys)

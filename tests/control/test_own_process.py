@@ -19,6 +19,10 @@ pytestmark = [
 ]
 
 
+QUICK = {"structure": "fopdt", "rule": "simc_pi"}
+"""What keeps the analysis short: the wire is judged here."""
+
+
 @pytest.fixture
 def scene(tmp_path):
     """A PLC with a plant, a service that tunes its loop, and a client that looks at the PLC."""
@@ -31,7 +35,7 @@ def scene(tmp_path):
         return SimpleNamespace(
             service=service,
             client=client,
-            tuning=client.post("/v1/loops/TIC-101/tunings").json()["id"],
+            tuning=client.post("/v1/loops/TIC-101/tunings", json=QUICK).json()["id"],
             output=plc.output,
             journal=plc.journal,
             again=lambda: spawn(stack, "serve", "--json", "--config", plc.config),

@@ -153,6 +153,7 @@ def test_it_is_shown_after_every_later_start_too(scene, virtual):
     assert virtual(main()).verdict.code == "interrupted"
 
 
+@pytest.mark.long  # tests/service runs schedules to their end
 def test_one_that_comes_to_its_end_leaves_nothing(scene):
     one = scene(lambda *_: False)
     assert not one.killed

@@ -217,7 +217,7 @@ def test_an_apply_whose_device_dies_half_way_ends_at_the_second_signal(controlle
 def test_a_verification_whose_device_dies_in_its_step_ends_at_the_second_signal(controller):
     with ExitStack() as stack:
         controller.line.mend()
-        words = ("--structure", "fopdt", "--verify", "--json")
+        words = ("--structure", "fopdt", "--rule", "simc_pi", "--verify", "--json")
         command = spawn(stack, "tune", "TIC-101", "--config", controller.config, *words)
         until(lambda: controller.auto() and abs(controller.set_point() - 2.0 * REST) > 1.0)
         gone(controller)

@@ -59,7 +59,7 @@ def verifying(stack, plc):
     """Start a service that verifies gains; return it in the middle of the step, with the tuning as it is told then."""
     service = spawn(stack, "serve", "--json", "--config", plc.config)
     url = json.loads(service.stdout.readline())["listening"]
-    asked = {"verify": True, "structure": "fopdt"}
+    asked = {"verify": True, "structure": "fopdt", "rule": "simc_pi"}
     tuning = httpx.post(f"{url}/v1/loops/TIC-101/tunings", json=asked, timeout=PATIENCE_S).json()
     in_the_step(plc)
     return service, httpx.get(f"{url}{tuning['links']['self']}", timeout=PATIENCE_S).json()
@@ -105,7 +105,7 @@ def test_where_everything_is_killed_the_next_start_has_it_back(plc):
 
 def test_a_killed_command_has_everything_back_and_the_next_one_tells(plc):
     with ExitStack() as stack:
-        tuner = spawn(stack, "tune", "--config", plc.config, "--structure", "fopdt", "--verify")
+        tuner = spawn(stack, "tune", "--config", plc.config, "--structure", "fopdt", "--rule", "simc_pi", "--verify")
         in_the_step(plc)
         tuner.kill()
         until(lambda: as_it_stands(plc) == plc.found)

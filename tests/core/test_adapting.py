@@ -22,6 +22,7 @@ def levels_of(recording):
     return [abs(b - a) / 2.0 for a, b in itertools.pairwise(outputs)]
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("start", [1.0, 40.0])
 def test_the_amplitude_comes_to_the_wish(plant, start):
@@ -46,6 +47,7 @@ def test_the_amplitude_comes_to_the_wish(plant, start):
         assert identification.limit_cycle.h == pytest.approx(reached)
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_relay_that_is_lost_in_the_noise_is_made_stronger(plant):
     sigma = 0.2 * find_limit_cycle(plant, symmetric_relay()).peak

@@ -14,12 +14,12 @@ LONGEST = 40_000
 PLANTS = [
     Fopdt(2.0, 10.0, 1.5),
     Fopdt(2.0, 1.0, 10.0),
-    Fopdt(2.0, 300.0, 1.5),
+    pytest.param(Fopdt(2.0, 300.0, 1.5), marks=pytest.mark.long),
     SopdtOverdamped(2.0, 10.0, 4.0, 1.5),
     SopdtUnderdamped(2.0, 9.0, 2.4, 1.5),
     Integrating(0.05, 2.0, 1.5),
     InverseResponse(2.0, 10.0, 4.0, 5.0, 1.5),
-    InverseResponse(2.0, 10.0, 4.0, 12.0, 1.5),
+    pytest.param(InverseResponse(2.0, 10.0, 4.0, 12.0, 1.5), marks=pytest.mark.long),
     UnstableFopdt(2.0, 10.0, 1.5),
 ]
 

@@ -95,7 +95,7 @@ def test_a_load_at_the_end_of_the_rest_is_not_taken_for_noise():
 @pytest.mark.parametrize("last", [
     {"return": 90.0},
     pytest.param({"staircase": 90.0}, marks=pytest.mark.long),
-    {"staircase": 60.0, "return": 119.9},
+    pytest.param({"staircase": 60.0, "return": 119.9}, marks=pytest.mark.long),
 ])  # fmt: skip
 def test_a_part_without_a_load_is_searched_where_a_check_was_cut_short(last):
     """There is no tail then: the part after it judges the model, or the one before that where it is too short."""

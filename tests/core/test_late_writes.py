@@ -4,6 +4,7 @@ import asyncio
 
 import async_solipsism
 import numpy as np
+import pytest
 
 from autotuner.application.analysis import procedure
 from autotuner.application.computing.compute_pool import InPlace
@@ -67,6 +68,7 @@ def recorded(rule=None):
     return tuning
 
 
+@pytest.mark.long  # tests/identification has the interval, tests/control late accesses
 def test_the_interval_of_the_gain_holds_it_and_the_experiment_is_that_of_any_tuning(monkeypatch):
     monkeypatch.setattr(procedure, "analyse", procedure.identified)
     by_rule, usual = recorded("simc_pi"), recorded()

@@ -62,6 +62,7 @@ def test_a_process_that_has_changed_is_told_with_its_numbers(name, plant):
     assert told.Ms[1] > told.Ms[0]
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("moves", [(0.0,), STEPS])
 def test_a_load_never_advises_to_tune_again(moves):
     told = findings(running(moves=moves, loads=[LoadStep(60.0, -8.0)]), EXPECTED)

@@ -53,6 +53,7 @@ def test_a_simulated_plant_is_tuned_in_virtual_time(tmp_path):
     assert result.to_dict()["tuning"]["predicted"]["overshoot"] == result.design.predicted.overshoot
 
 
+@pytest.mark.long  # tests/design/test_device_controller
 @pytest.mark.usefixtures("without_diagnosis")
 def test_gains_are_for_the_controller_that_will_hold_them():
     controller = {"form": "ideal", "set_point_weight": 1.0}

@@ -34,6 +34,7 @@ def conduct(seed, *, scale, rate, sigma):
     raise AssertionError("the experiment did not end")
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(("scale", "rate", "sigma"), [(1.0, 30, 0.05), (1.0, 300, 0.05), (0.1, 300, 0.3)])
 def test_a_slow_noisy_loop_is_switched_by_its_process_alone(scale, rate, sigma):
     """The first move of the relay is that of the start; the next cannot come before the process has answered."""

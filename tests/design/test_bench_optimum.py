@@ -8,6 +8,7 @@ from benchmarks.accuracy.tuning.gains import OPTIMA, best_error
 from benchmarks.baselines.amigo_batch import batch, ultimate
 
 
+@pytest.mark.long  # a bench; what the product designs is in test_controller_advice
 @pytest.mark.parametrize(("name", "Ti_over_Pu"), [
     ("P1 T=6", 0.8),
     pytest.param("P4 n=5", 0.8, marks=pytest.mark.long),

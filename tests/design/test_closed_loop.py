@@ -36,6 +36,7 @@ designed = functools.cache(design)
 """The same gains, computed once: two tests judge them."""
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("model", MODELS, ids=str)
 def test_process_moves_exactly_under_the_outputs_commanded(model):
     """Against the response of a process to a held input, computed elsewhere and in another way."""

@@ -27,6 +27,7 @@ def load_response(model, gains, duration_s):
     return pv
 
 
+@pytest.mark.one_of(3)
 @pytest.mark.parametrize("model", [Fopdt(2.0, 10.0, 1.5), SopdtOverdamped(1.0, 3.0, 3.0, 1.0), Fopdt(1.0, 1.0, 5.0)])
 def test_the_cost_of_pi_is_that_of_simulated_loops(model):
     advice = controller_advice(model)

@@ -31,6 +31,7 @@ def moved(model, gains, h, disturb, seconds=2000.0):
     return float(np.std(outputs[len(outputs) // 5 :]))
 
 
+@pytest.mark.one_of(3)
 @pytest.mark.parametrize("goal", list(GOALS))
 def test_a_goal_keeps_its_limit_and_the_output_moves_as_predicted(goal):
     noise, random = noise_of(0.05, 0.05, H), np.random.default_rng(1)

@@ -60,6 +60,7 @@ def optima():
         return {(row["process"], row["controller"]): row for row in csv.DictReader(file)}
 
 
+@pytest.mark.one_of(4)
 @pytest.mark.parametrize("name", PROCESSES)
 @pytest.mark.parametrize("kind", ["ideal", "filtered"])
 def test_the_error_is_that_of_an_optimum_found_by_other_code(optima, name, kind):
@@ -92,6 +93,7 @@ def test_a_peak_between_two_frequencies_of_the_grid_keeps_the_limit():
     assert np.max(1.0 / np.abs(1.0 + controller * process)) <= 2.0
 
 
+@pytest.mark.one_of(3)
 @pytest.mark.parametrize("model", [*PROCESSES.values(), *OTHERS], ids=str)
 def test_no_controller_near_it_is_better_inside_the_limits(model):
     found = designed(model)
@@ -181,6 +183,7 @@ def test_no_jitter_at_all_is_refused():
         design(Fopdt(2.0, 10.0, 1.5), Requirements(noise=NoiseLimit(0.1, 1e-200, 0.1)))
 
 
+@pytest.mark.long  # the jitter that is kept is in the tests beside it
 def test_less_jitter_costs_error():
     model = SopdtOverdamped(2.0, 10.0, 3.0, 1.0)
     errors = [design(model, Requirements(noise=NoiseLimit(0.1, jitter, 0.1))).iae for jitter in (2.0, 0.2, 0.03)]

@@ -38,6 +38,7 @@ def test_the_true_loop_seldom_exceeds_the_limit(model, share):
     assert exceeded <= 0.05 * len(truths)
 
 
+@pytest.mark.long  # a wide region says why the gains are calm
 def test_lags_that_cannot_be_told_apart_are_known_by_sum_and_product():
     """The region holds loops that ring and loops that do not; the limit is kept over both."""
     known_as = merged(SopdtOverdamped(1.0, 5.1, 4.9, 3.0))
@@ -51,6 +52,7 @@ def test_lags_that_cannot_be_told_apart_are_known_by_sum_and_product():
     assert sum(margins(truth, alone).Ms > 1.4 for truth in truths) > 0.2 * len(truths)
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("model", FEW, ids=str)
 def test_gains_are_calmer_the_less_is_known(model):
     errors = [design(model, Requirements(), independent(model, share)).iae for share in (1e-4, 0.05, 0.2)]

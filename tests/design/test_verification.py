@@ -83,6 +83,7 @@ def test_a_right_model_passes_on_a_line_that_loses_samples(seed, truth):
     assert decision is Decision.PASS, evidence
 
 
+@pytest.mark.one_of(3)
 @pytest.mark.parametrize("factors", [{"K": 0.5}, {"K": 2.0}, {"D": 0.5}], ids=str)
 @pytest.mark.parametrize(("seed", "truth"), list(enumerate(plants(6, 4))))
 def test_a_wrong_model_goes_back_in_time(seed, truth, factors):
@@ -92,6 +93,7 @@ def test_a_wrong_model_goes_back_in_time(seed, truth, factors):
     assert "left the predicted band" in evidence
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(("seed", "truth"), list(enumerate(plants(6, 3))))
 def test_a_hidden_sticking_valve_goes_back(seed, truth):
     band = 0.8 * STEP / truth.K

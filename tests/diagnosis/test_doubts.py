@@ -140,6 +140,7 @@ def test_a_move_that_arrives_late_is_not_explained_by_a_load(among):
     assert found.model["after"] == found.model["before"]
 
 
+@pytest.mark.long  # test_parts tampers with the test part
 def test_what_the_test_part_speaks_against_is_said_and_chooses_nothing(among):
     """The load ends where the test part begins: names and verdict stay, and the sentence says that it is none."""
     among("load_step", "bias_step", "drift")

@@ -97,6 +97,7 @@ def test_an_inverse_response_is_found_where_dead_time_stood_for_it(among):
     assert pytest.approx(5.0, rel=0.05) == found.process.D
 
 
+@pytest.mark.long  # lags by hand are in test_extended_models
 def test_lags_in_a_row_are_a_further_lag_and_its_time_is_in_the_sum(among):
     among("extra_lag", "inverse_response", "slow_mode", "flow_delay")
     output = steps(hold=25)
@@ -126,6 +127,7 @@ def lag(x, v, _t):
     return (2.0 * v - x) / 15.0
 
 
+@pytest.mark.long  # equal steps are in test_effects_are_named
 def test_steps_of_unequal_size_are_named_first_or_as_what_no_record_tells_from_the_first(among):
     among("output_quantisation", "static_nonlinearity", "saturation", "direction_gain")
     edges = np.array([-9.0, -4.5, 0.0, 1.5, 6.5, 8.0])
@@ -139,6 +141,7 @@ def test_steps_of_unequal_size_are_named_first_or_as_what_no_record_tells_from_t
     assert found.error["fitted"].after < 1.3 * 0.05 < 0.2 * found.error["fitted"].before
 
 
+@pytest.mark.long  # curves by hand follow, and the spring above shows the search
 def test_a_curve_of_many_levels_is_a_static_nonlinearity(among):
     among("static_nonlinearity", "saturation", "direction_gain", "output_quantisation")
     output, stands = positioned(lambda u: 5.0 * np.tanh(u / 5.0), 8.0, np.linspace(-1.0, 1.0, 41))

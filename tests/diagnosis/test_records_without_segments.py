@@ -84,6 +84,7 @@ def test_an_actuator_that_is_updated_at_uneven_times_is_named(seed):
     assert answer.error["fitted"].after < 1.3 * 0.05 < answer.error["fitted"].before / 4.0
 
 
+@pytest.mark.long  # jumps are in test_jumps
 def test_a_jump_of_the_reading_after_the_fitted_part_is_named():
     output = np.repeat([40.0, 50.0, 36.0], [30, 100, 120])
     pv = integrated(output, straight)
@@ -112,6 +113,7 @@ def relay_with_a_bad_reading(until=700):
     return np.array(output), np.array(pv)
 
 
+@pytest.mark.long  # jumps are in test_jumps
 def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named(among):
     among("bias_step", "load_step", "drift")
     output, pv = relay_with_a_bad_reading()
@@ -120,6 +122,7 @@ def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named(among):
     assert answer.effects[0].parameters["size"] == pytest.approx(-3.0, abs=0.2)
 
 
+@pytest.mark.long  # the next one shows a wave
 def test_a_wave_that_one_process_has_taken_up_is_named(among):
     """Its period is a few of the lags, and its size a good part of what the steps make."""
     among("periodic_disturbance", "ambient", "load_step")
@@ -131,6 +134,7 @@ def test_a_wave_that_one_process_has_taken_up_is_named(among):
     assert answer.effects[0].parameters["amplitude"] == pytest.approx(6.0, rel=0.05)
 
 
+@pytest.mark.long  # the next tests show others; a line's period is in test_disturbance_effects
 def test_a_wave_that_begins_within_the_record_is_named(among):
     among("periodic_disturbance", "ambient", "load_step")
     output = levels(np.random.default_rng(7), 600, 15, 60)
@@ -151,6 +155,7 @@ def test_a_limit_and_a_drift_are_both_named():
     assert answer.error["held_out"].after < 1.3 * hidden.sigma < answer.error["held_out"].before / 20.0
 
 
+@pytest.mark.long  # rates by hand are in test_actuator_effects
 def test_unequal_rates_of_an_actuator_are_found(among):
     among("rate_limit", "direction_dynamics", "backlash", "direction_gain")
     at = {"x": 40.0}
@@ -167,6 +172,7 @@ def test_unequal_rates_of_an_actuator_are_found(among):
     assert sizes["falling_rate_per_s"] == pytest.approx(0.9, rel=0.1)
 
 
+@pytest.mark.long  # levels of a curve are in test_free_forms
 def test_a_gain_that_changes_at_another_level_than_the_first_is_found(among):
     """Below 43 the actuator has its gain, above it a third of it."""
     among("direction_gain", "static_nonlinearity", "saturation", "backlash")

@@ -114,6 +114,7 @@ def test_of_plateaus_as_high_the_widest_is_first_and_taken_in_its_middle():
         assert [step for step, _ in found] == [steps[720], steps[202], steps[1199]]
 
 
+@pytest.mark.long  # growth by itself, below
 @pytest.mark.parametrize(
     "sigma", [pytest.param(0.0, marks=pytest.mark.long, id="without noise"), pytest.param(0.05, id="with noise")]
 )

@@ -34,6 +34,7 @@ def after(questions):
     return lambda: next(asked) >= questions
 
 
+@pytest.mark.long  # the play is in test_effects_are_named
 def test_without_a_limit_the_play_explains_the_record_and_the_reader_hears_of_it():
     heard = []
     answer = diagnose(with_play(2.0), on_progress=heard.append)
@@ -42,6 +43,7 @@ def test_without_a_limit_the_play_explains_the_record_and_the_reader_hears_of_it
     assert all("times the noise" in sentence for sentence in heard)
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("questions", [0, 30])
 def test_a_search_that_is_cut_ends_in_unexplained_with_the_best_so_far(questions):
     answer = diagnose(with_play(2.0), is_spent=after(questions))

@@ -129,6 +129,7 @@ def play_under_a_wave(width=3.0):
     return Recording(np.arange(400.0), 30.0 + np.array(u), 50.0 + np.array(y))
 
 
+@pytest.mark.long  # the loop that cycles shows the bands
 def test_play_in_a_loop_is_found_beside_a_load_of_any_shape():
     context = bench_of(dataset_of(play_under_a_wave()))
     base = base_of(context, ("offset", "state"), 0)

@@ -113,12 +113,14 @@ def test_a_staircase_shows_much_smaller_friction_than_steps_do():
     assert "play up to" not in found.summary
 
 
+@pytest.mark.long  # the worn valve (tests/reports) is found in a whole tuning
 def test_friction_that_was_found_is_no_blind_spot():
     found = diagnosed(play=2.0)
     assert [effect.name for effect in found.effects] == ["backlash"]
     assert "play" not in spots(found)
 
 
+@pytest.mark.long  # what an adequate record leaves is in the first test
 @pytest.mark.usefixtures("without_gains")
 def test_a_limit_that_shows_at_the_end_only_is_never_called_adequate(among):
     """Too late in the record to be named: the verdict says that something is missing, a note where."""
@@ -145,6 +147,7 @@ def test_gains_are_shown_on_the_loop_with_the_effect():
     assert "with_effects" not in clean["after"]
 
 
+@pytest.mark.long  # by hand in test_gains_compared
 def test_gains_for_two_directions_are_those_for_the_stronger_one(among):
     among("direction_gain", "static_nonlinearity", "saturation")
     found = diagnose(tuning_record(PLANTS["balanced"], sigma=0.05, actuators=[DirectionGain(1.8)]))

@@ -72,8 +72,9 @@ def test_the_device_does_what_table_chart_report_and_api_predict(b, peer, tmp_pa
     config, report = tmp_path / "loops.toml", tmp_path / "report.html"
     config.write_text(CONFIG.format(port=plc["tcp"], b=b), encoding="utf-8")
     verify = ["--verify", str(STEP)] if b == 1.0 else ["--apply"]
+    words = ["--structure", "fopdt", "--json", "--report", report, *verify]
     done = subprocess.run(
-        [sys.executable, "-m", "autotuner", "tune", "--config", config, "--json", "--report", report, *verify],
+        [sys.executable, "-m", "autotuner", "tune", "--config", config, *words],
         capture_output=True, text=True, timeout=PATIENCE_S, check=False, cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

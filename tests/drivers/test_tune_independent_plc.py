@@ -34,6 +34,10 @@ auto = {{ table = "coil", address = 0 }}
 """
 
 
+SHORT = ("--structure", "fopdt", "--rule", "simc_pi")
+"""What keeps the analysis short: the link and the PLC are judged here."""
+
+
 def ask(port, command="get"):
     with socket.create_connection(("127.0.0.1", port), 5.0) as line:
         line.sendall(command.encode() + b"\n")
@@ -65,7 +69,7 @@ def start(peer, *arguments):
 def test_a_cold_plc_that_is_not_ours_is_tuned_and_given_back(peer, tmp_path):
     plc = start(peer)
     before = ask(plc["control"])
-    done = tune(tmp_path, plc["tcp"])
+    done = tune(tmp_path, plc["tcp"], *SHORT)
     after = ask(plc["control"])
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(done.stdout)
@@ -81,7 +85,7 @@ def test_a_plc_in_auto_is_taken_over_and_goes_back_to_auto(peer, tmp_path):
     """Judged by K/T and D, which the relay shows sharply: K alone hangs on the exact moments of its switches."""
     rest = ("--auto", "--u0", 15, "--ubias", 15, "--y0", 50, "--sp", 50, "--own-pid", 0.5, 10.0, 0.0)
     plc = start(peer, *rest)
-    done = tune(tmp_path, plc["tcp"])
+    done = tune(tmp_path, plc["tcp"], *SHORT)
     after = ask(plc["control"])
     assert done.returncode == 0, done.stdout + done.stderr
     model = json.loads(done.stdout)["model"]

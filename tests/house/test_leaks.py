@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 LEAKING = """
 import asyncio, multiprocessing, os, socket, threading
 import pytest
@@ -88,32 +90,30 @@ async def test_an_hour_is_nothing():
 """
 
 
-def run_pytest(root, folder, text):
-    """Run a test file under the suite's own conftest and settings."""
+FILES = {"test_leaking.py": LEAKING, "test_clean.py": CLEAN}
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory, pytestconfig):
+    """What pytest says of both files under the suite's own conftest and settings; one process, which costs the time."""
+    root, folder = pytestconfig.rootpath, tmp_path_factory.mktemp("leaks")
     (folder / "conftest.py").write_text((root / "tests" / "conftest.py").read_text(encoding="utf-8"), encoding="utf-8")
-    (folder / "test_inner.py").write_text(text, encoding="utf-8")
-    words = [
-        "-c",
-        str(root / "pyproject.toml"),
-        "--rootdir",
-        str(folder),
-        "-p",
-        "no:cacheprovider",
-        "-q",
-        "test_inner.py",
-    ]
+    for name, text in FILES.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    plugins = ["-p", "no:cacheprovider", "-p", "no:schemathesis"]
+    words = ["-c", root / "pyproject.toml", "--rootdir", folder, *plugins, "-q", *FILES]
     return subprocess.run(
         [sys.executable, "-m", "pytest", *words], cwd=folder, capture_output=True, text=True, check=False
     ).stdout
 
 
-def test_what_is_left_behind_fails(root, tmp_path):
-    said = run_pytest(root, tmp_path, LEAKING)
-    assert "7 passed, 7 errors" in said, said
+def test_what_is_left_behind_fails(said):
+    assert said.count("ERROR test_leaking.py") == 7, said
     assert said.count("left behind: task forgotten") >= 3
     for thing in ("open file socket:", "open file /dev/pt", "thread <Thread", "worker process <SpawnProcess"):
         assert f"left behind: {thing}" in said
 
 
-def test_what_is_given_back_passes(root, tmp_path):
-    assert "7 passed" in run_pytest(root, tmp_path, CLEAN)
+def test_what_is_given_back_passes(said):
+    assert "14 passed, 7 errors" in said, said
+    assert "ERROR test_clean.py" not in said

@@ -36,6 +36,7 @@ def test_a_saturated_sensor(clean):
     assert any("were left out" in warning for warning in found.warnings)
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("step", [0.4, 0.8])
 def test_a_coarse_pv_that_settles_under_each_level_is_not_saturated(record_relay, step):
     """A dead time of five lags: the PV rests at both ends of the oscillation, in one digit of the sensor."""

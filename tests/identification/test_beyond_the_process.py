@@ -69,12 +69,14 @@ def test_no_line_is_seen_where_there_is_none(moved):
     assert "drift" not in identify(moved).estimates["least_squares"].evidence["background"]
 
 
+@pytest.mark.long  # the fit of 76 percent says what is wrong
 def test_an_output_before_the_record_that_no_record_shows_is_told(moved):
     warming = Recording(moved.t, moved.output, moved.pv - 40.0 * np.exp(-(moved.t - moved.t[0]) / 12.0))
     assert any("before the record" in warning for warning in identify(warming).warnings)
     assert not any("before the record" in warning for warning in identify(moved).warnings)
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(
     "disturbance",
     [

@@ -53,6 +53,7 @@ def test_the_controllers_inverse_is_not_taken_for_the_process(record, seed):
     assert any("controller" in warning for warning in found.warnings) or found.model is None
 
 
+@pytest.mark.long  # other controllers are in the tests above
 def test_a_proportional_controller_alone_is_not_turned_into_a_process():
     """`u = Kp (r - pv)` to the last digit: its inverse fits, with a negative gain or as a very fast unstable lag."""
     rng = np.random.default_rng(1)

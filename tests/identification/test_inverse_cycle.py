@@ -124,6 +124,7 @@ def test_a_cycle_that_no_such_process_has_is_refused(cycle_of):
         sopdt_of_cycle(1e-3, cycle)
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(
     "plant",
     [SopdtOverdamped(1.0, 10.0, 2.0, 4.0), Integrating(0.1, 5.0, 2.0), UnstableFopdt(1.0, 10.0, 2.0)],

@@ -37,6 +37,7 @@ def values(plant):
     return {name: getattr(plant, name) for name in STRUCTURES[plant.structure].__slots__}
 
 
+@pytest.mark.one_of(3)
 @pytest.mark.parametrize(("plant", "dt"), PLANTS, ids=str)
 def test_five_switches_without_noise_give_the_process_itself(record_relay, plant, dt):
     found = identify(record_relay(plant, dt))
@@ -105,6 +106,7 @@ def close_lags(record_relay):
     return plant, records, [identify(record, plant.structure).estimates["least_squares"] for record in records]
 
 
+@pytest.mark.long  # test_higher_order has nearly equal lags
 def test_close_lags_are_reported_as_close(close_lags):
     plant, _, estimates = close_lags
     for name in ("T1", "T2", "K", "D"):
@@ -162,6 +164,7 @@ def test_spikes_are_left_out_and_counted(record_relay):
     assert any("4 wild readings were left out" in warning for warning in found.warnings)
 
 
+@pytest.mark.long  # five switches of an integrator show it
 def test_an_integrator_off_balance_drifts_and_is_still_found(record):
     plant = Integrating(0.2, 0.0, 3.0)
     steps = {0: 0.0, 100: 1.0, 200: -1.0, 300: 1.5}

@@ -47,6 +47,7 @@ EXACT = [
 ]
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(("name", "process", "within"), EXACT)
 def test_methods_without_a_bias_of_their_own(name, process, within):
     """What they miss by comes from 500 samples a period."""

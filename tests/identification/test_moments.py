@@ -38,6 +38,7 @@ RATIOS, PHASES, SOME = (
 )
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(
     ("ratio", "phase"),
     [
@@ -90,6 +91,7 @@ def test_a_record_that_tells_when_it_wrote_is_taken_at_its_word():
     assert found.estimates["least_squares"].evidence["moments_free"] is False
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 5.0])
 def test_exact_moments_lose_nothing(record_relay, ratio):
     """A controller's own record, noisy: its moments stay as they are."""

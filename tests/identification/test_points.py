@@ -21,6 +21,7 @@ def misses(found, plant):
     return np.array([abs(p.G - plant.transfer(1j * p.w)) / p.standard_error for p in found.points])
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("plant", PLANTS, ids=str)
 def test_every_harmonic_without_noise(record_relay, plant):
     found = identify(record_relay(plant, plant.D / 12.0, switches=9))
@@ -48,6 +49,7 @@ def test_the_points_do_not_depend_on_the_structure(record_relay, structure):
     assert np.median(misses(found, plant)) < 2.0 or structure != "fopdt"
 
 
+@pytest.mark.long  # intervals that hold the truth are in test_least_squares
 def test_the_standard_errors_are_those_that_the_points_have(record_relay):
     plant, squares = Fopdt(1.0, 10.0, 5.0), []
     for seed in range(30):

@@ -105,6 +105,7 @@ def test_white_noise_remembers_nothing():
     assert sum(order == 0 for order in orders) >= 36
 
 
+@pytest.mark.long  # the bound without a memory is in test_least_squares
 @pytest.mark.parametrize(
     "plant",
     [

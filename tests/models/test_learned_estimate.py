@@ -63,6 +63,7 @@ def test_a_process_of_negative_gain_is_its_mirror_image(models, record):
         assert low <= found.model.K <= high
 
 
+@pytest.mark.one_of(3)
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_predicted_errors_hold_on_new_experiments(models, structure):
     """Of a seed that was not trained on, under all conditions of the training."""

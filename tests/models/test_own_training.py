@@ -71,6 +71,7 @@ def test_every_family_of_the_thesis_can_be_chosen():
     assert {"tree", "forest", "linear", "network"} <= set(FAMILIES)
 
 
+@pytest.mark.long  # the family is used again in the test above
 @pytest.mark.usefixtures("without_diagnosis")
 @pytest.mark.virtual_time
 async def test_a_tuning_through_the_service_uses_the_folder_of_the_configuration(folders, serving, tmp_path):

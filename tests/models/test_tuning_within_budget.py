@@ -36,6 +36,7 @@ def tuned(plant, *, check=False, budget_ms=NO_TIME_MS, **how):
 USUAL = ("dead time small", "gain from the check", "two lags")
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(
     ("plant", "check"),
     [
@@ -64,6 +65,7 @@ def test_the_verdict_and_the_notes_say_what_they_are_and_what_to_do():
     assert all(error > 0.0 for error in errors.values())
 
 
+@pytest.mark.long  # early gains, above, are of the same search
 @pytest.mark.usefixtures("without_diagnosis")
 def test_with_time_the_result_is_that_without_a_budget():
     plant = OFF_THE_GRID["dead time small"][0]

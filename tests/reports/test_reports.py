@@ -61,6 +61,7 @@ class Reader(HTMLParser):
         self.words.append(data)
 
 
+@pytest.mark.long  # tests/service has the report of a tuning
 def test_a_report_of_a_tuning_from_the_shell(tmp_path, capsys):
     file, recording = tmp_path / "report.html", tmp_path / "recording.csv"
     assert main(["tune", "--report", str(file), "--recording", str(recording)]) == 0
@@ -291,6 +292,7 @@ def test_curves_before_and_after_hold_what_the_diagnosis_simulated():
     assert curves["held_out_from_s"] == 4000.0
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(("b", "most"), [(1.0, 0.13), (0.25, 0.13)])
 def test_what_is_offered_is_predicted_as_the_device_holds_it(b, most):
     """Figures, chart and the step's first output agree, and are those of the device: rounded, with its own weight."""

@@ -67,6 +67,7 @@ async def test_columns_are_chosen_by_title_or_number(serving, step_test):
     assert titled.json() == numbered.json() == plain.json()
 
 
+@pytest.mark.long  # repairs are in tests/core
 async def test_a_repair_is_told(serving, step_test):
     lines = text_of(step_test).splitlines()
     lines[20] = lines[20].rpartition(",")[0] + ","
@@ -193,6 +194,7 @@ async def test_uploads_wait_for_each_other_and_never_hold_a_tuning(serving, step
     assert max(pool.counts) == 1
 
 
+@pytest.mark.long  # tests/cli identifies with the moments of the output
 async def test_a_part_of_the_record_can_be_chosen_and_the_moments_declared(serving, step_test, check_problem):
     t, output, pv = step_test
     content = text_of((t, output, np.where(t > 50.0, 0.0, pv)))
@@ -209,6 +211,7 @@ async def test_a_part_of_the_record_can_be_chosen_and_the_moments_declared(servi
     assert unknown.status_code == 422
 
 
+@pytest.mark.long  # tests/control/test_analysis has such a record
 async def test_a_record_that_something_else_moved_gets_no_gains(serving, step_test):
     t, output, pv = step_test
     swaying = pv + 12.0 * np.sin(t / 3.0)
@@ -218,6 +221,7 @@ async def test_a_record_that_something_else_moved_gets_no_gains(serving, step_te
     assert told["model"] is None or "is not explained" in told["warnings"][0]
 
 
+@pytest.mark.long  # tests/cli and tests/identification have disturbances
 async def test_a_measured_disturbance_is_told_apart(serving, step_test, check_problem):
     t, output, pv = step_test
     load = np.where((t > 20.0) & (t < 40.0), 3.0, 0.0)

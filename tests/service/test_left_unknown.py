@@ -121,6 +121,7 @@ async def test_while_it_is_still_unknown_that_is_told_with_the_reason(serving, c
     assert 'autotuner_output_unknown{loop="TIC"} 1.0' in numbers
 
 
+@pytest.mark.long  # what is told of an unknown output is in the others
 async def test_a_result_that_was_had_stays_one(serving, configure, device, line_to):
     """The line dies between the last sample and the way back: model and gains are there, the output was not."""
     configuration = configure({"TIC": LOOP})

@@ -39,7 +39,7 @@ CHECKS = [
 KNOWN = {"loop": "heater", "tuning_id": "tuning-1", "schedule_id": "tuning-1"}
 EXAMPLES, EXAMPLES_OF_COMPUTATIONS = 8, 2
 """Requests of an operation; and of one that computes for seconds."""
-COMPUTED = ("/report", "/choices")
+COMPUTED = ("/report", "/choices", "/gains")
 
 
 def test_the_committed_document_has_not_drifted():

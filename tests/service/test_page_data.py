@@ -155,6 +155,7 @@ async def test_curves_and_choices_of_a_tuning(serving, undescribed, check_proble
     assert offered["asked"] == {"goal": "balanced"}
 
 
+@pytest.mark.long  # the choices of a tuning, above
 @pytest.mark.virtual_time
 async def test_what_was_asked_for_is_among_the_choices_and_can_be_applied_again(serving):
     asked = {"Ms": 1.5, "controller": "PI", "jitter": 0.5}

@@ -92,6 +92,7 @@ async def test_the_service_ends_a_run_when_it_stops(serving, configure, loops):
     assert (await backend.read([SET_POINT]))[SET_POINT] == 80.0
 
 
+@pytest.mark.long  # a disk that fills ends it the same way
 async def test_a_point_without_gains_ends_the_run(serving, configure, loops):
     """So much noise that the relay's answer is not seen in it."""
     async with serving(configure(loops(noise=8.0))) as service:

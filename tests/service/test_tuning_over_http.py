@@ -73,6 +73,7 @@ async def tune_the_furnace(serving):
     return took_s, found, result, events.text, recording.text
 
 
+@pytest.mark.long  # tests/control repeats a run
 async def test_more_than_an_hour_of_a_slow_plant_is_the_same_twice(serving):
     first = await tune_the_furnace(serving)
     second = await tune_the_furnace(serving)
@@ -202,6 +203,7 @@ async def test_other_gains_need_no_new_test(serving, check_problem):
     check_problem(refused, 422, "unusable-value")
 
 
+@pytest.mark.long  # other gains need no new test, below
 async def test_a_rule_that_does_not_fit_the_process_does_not_lose_the_test(serving, configure):
     heater = configure().loops["heater"].model_dump(exclude_unset=True)
     plant = {"structure": "sopdt_underdamped", "K": 2.0, "m": 25.0, "n": 4.0, "D": 1.5}

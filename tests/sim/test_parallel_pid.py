@@ -37,6 +37,7 @@ def by_tsypkin(plant, pid: Pid, low: float, high: float):
     return 2.0 * math.pi / w, float(np.fft.irfft(spectrum).max()), float(abs(harmonics[0]))
 
 
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(
     ("plant", "pid", "bracket"),
     [

@@ -79,6 +79,7 @@ def changed(text, change, *, signed):
     return json.dumps(whole)
 
 
+@pytest.mark.long  # a changed file is refused, below
 def test_a_result_that_differs_is_told(file, text, capsys):
     def other(whole):
         whole["result"]["gains"]["Kp"] *= 1.0 + 1e-15
@@ -91,6 +92,7 @@ def test_a_result_that_differs_is_told(file, text, capsys):
     assert "numpy 1.0 then" in out
 
 
+@pytest.mark.long  # one that was analysed, above
 def test_a_tuning_that_was_not_analysed_has_nothing_to_compare(file, text, capsys):
     def stopped(whole):
         whole["result"] = {"verdict": {"outcome": "aborted", "code": "requested"}}
