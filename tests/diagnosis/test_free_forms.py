@@ -82,18 +82,21 @@ def test_a_hardening_spring_is_named_with_its_size(among):
     assert found.verdict == "explained"
 
 
-def test_an_inverse_response_is_found_where_dead_time_stood_for_it(among):
+@pytest.mark.parametrize("drift", [0.02, pytest.param(0.0, marks=pytest.mark.long)])
+def test_an_inverse_response_is_found_where_dead_time_stood_for_it(among, drift):
     """Two paths, 1.6/(30 s + 1) - 0.6/(6 s + 1): a zero at Z = 0.6 30 - 1.6 6 = 8.4 s, behind a dead time of 5 s."""
-    among("inverse_response", "extra_lag", "slow_mode", "flow_delay")
+    among("inverse_response", "extra_lag", "slow_mode", "flow_delay", "drift")
     output = steps()
     late = np.concatenate((np.zeros(5), output[:-5]))
 
     def two_paths(x, u, _t):
         return np.array([(1.6 * 2.0 * u - x[0]) / 30.0, (-0.6 * 2.0 * u - x[1]) / 6.0])
 
-    found = diagnose(recorded(output, integrated(two_paths, late, [0.0, 0.0]).sum(axis=1), 0.05))
-    assert [effect.name for effect in found.effects] == ["inverse_response"]
-    assert found.effects[0].parameters["Z"] == pytest.approx(8.4, rel=0.05)
+    pv = integrated(two_paths, late, [0.0, 0.0]).sum(axis=1) + drift * np.arange(N) * H
+    found = diagnose(recorded(output, pv, 0.05))
+    named = {effect.name: effect.parameters for effect in found.effects}
+    assert set(named) == {"inverse_response", *(["drift"] if drift else [])}
+    assert named["inverse_response"]["Z"] == pytest.approx(8.4, rel=0.05)
     assert pytest.approx(5.0, rel=0.05) == found.process.D
 
 

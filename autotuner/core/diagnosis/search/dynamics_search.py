@@ -34,9 +34,9 @@ SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
 
-def with_less_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the process with each effect that makes an answer late, fitted on all samples, where that is closer."""
-    pair = next((o for o in base.origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
+def with_less_dead_time(context: FitContext, origins: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the first pair of lags with each effect that makes an answer late, fitted on all samples, where closer."""
+    pair = next((o for o in origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
     if pair is None:
         return []
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
@@ -65,7 +65,8 @@ def _with_dead_time(context: FitContext, origin: Fitted, added: float) -> Fitted
 
 
 def _from_less(context: FitContext, pair: Fitted, effect: Effect) -> Fitted:
-    problem = replace(pair.problem, effects=(*pair.problem.effects, effect), rows=context.coarse)
+    effects = tuple(sorted((*pair.problem.effects, effect), key=lambda e: e.rank))
+    problem = replace(pair.problem, effects=effects, rows=context.coarse)
     at = len(problem.structure.shape)
     fits = []
     for start, share in product(effect.starts, KEPT):

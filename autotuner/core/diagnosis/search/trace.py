@@ -153,7 +153,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
             break
-        beside = with_wave(context, best) if accepted else []
+        beside = [*with_wave(context, best), *with_less_dead_time(context, [best], effects)] if accepted else []
         jumped = _with_jump(context, base, effects) if len(steps) == 1 else []
         beams = [
             [at_the_input(context, c) for c in beam] for beam in [*_carried(context, best, found, sketches), *jumped]
@@ -180,7 +180,7 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
         friction += search(context, base, effects)
         if any(is_noise(context, candidate) for candidate in friction):
             return friction, True
-    late = [*with_less_dead_time(context, base, effects), *with_varying_dead_time(context, base, effects)]
+    late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 
