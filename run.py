@@ -3,7 +3,7 @@
     python3 run.py tune        install what the tuner needs, then tune a simulated loop
     python3 run.py test        install what the tests need, then check and test everything
     python3 run.py quick       the same without the tests on the wall clock
-    python3 run.py long        the tests that take minutes, which `test` leaves out
+    python3 run.py long        the tests that `test` leaves out: what they show is in a shorter test too
     python3 run.py coverage    those of `quick`, and which lines of the product they ran
     python3 run.py release     make a wheel and its software bill of materials (CycloneDX) in `dist`
     python3 run.py WORD ...    install what the tuner needs, then do `autotuner WORD ...`
