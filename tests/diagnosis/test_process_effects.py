@@ -237,6 +237,29 @@ def test_a_mode_that_opposes_or_is_quicker_is_not_a_slow_one(K, T):
     assert not fitted.is_meaningful()
 
 
+def lags_that_are_declared(recording):
+    return declared_effects(dataset_of(recording), at_the_truth(record(LAG, moves()), LAG).process())
+
+
+BESIDE_A_LOAD = {
+    "slow_mode": (LAG, [LAG, Fopdt(0.9, 90.0, LAG.D)], lambda r: effects_of(r, LAG), (math.log(90.0),)),
+    "inverse_response": (PAIR, [InverseResponse(1.5, 20.0, 8.0, 6.0, 5.0)], lambda r: effects_of(r, PAIR), ()),
+    "extra_lag": (LAG, [SopdtOverdamped(2.0, 12.0, 4.0, 3.0)], lags_that_are_declared, (math.log(4.0),)),
+}
+"""Plant, the plants whose sum has the effect, the effects of a record, and the numbers of this one."""
+
+
+@pytest.mark.parametrize("key", BESIDE_A_LOAD)
+def test_a_load_at_the_input_passes_through_the_effect_too(key):
+    plant, whole, effects, p = BESIDE_A_LOAD[key]
+    u = moves()
+    recording = added(*(record(one, u, loads=[LoadStep(140.0, 3.0)]) for one in whole))
+    dataset = dataset_of(recording)
+    load = (load_at_the_input(dataset), (140.0 / dataset.span_s, 3.0 / dataset.swing))
+    fitted = at_the_truth(recording, plant, load, (of_form(effects(recording), key), p))
+    assert left(fitted) < 1e-9
+
+
 @pytest.mark.parametrize("Z", [6.0, 25.0])
 def test_a_zero_on_the_wrong_side_is_the_simulators(Z):
     plant = InverseResponse(PAIR.K, PAIR.T1, PAIR.T2, Z, PAIR.D)

@@ -45,7 +45,7 @@ def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
     def response(view: View, p: Sequence[float]) -> FloatArray:
         extra = math.exp(p[0])
         when = view.t - view.delay_s - (p[1] * dataset.data.interval_s if len(p) > 1 else 0.0)
-        held = lagged(view.position, extra) if len(p) > 1 else view.position
+        held = lagged(view.input, extra) if len(p) > 1 else view.input
         if isinstance(view.motion, Lag):
             T = view.motion.T
             return Pair(T * extra, T + extra).forced(held, when)[0][0]
@@ -87,7 +87,7 @@ def _integrating() -> Effect:
     def response(view: View, _p: Sequence[float]) -> FloatArray:
         motion = view.motion
         integrator = LaggedIntegrator(motion.m / motion.n) if isinstance(motion, Pair) else Integrator()
-        return integrator.forced(view.position, view.t - view.delay_s)[0][0]
+        return integrator.forced(view.input, view.t - view.delay_s)[0][0]
 
     return Effect(
         "integrating",
@@ -106,8 +106,8 @@ def _leaking(dataset: Dataset, slowest_s: float) -> Effect:
         leak, motion = math.exp(p[0]), view.motion
         if isinstance(motion, Pair):
             fast = motion.m / motion.n
-            return Pair(leak * fast, leak + fast).forced(view.position, view.t - view.delay_s)[0][0]
-        return Lag(leak).forced(view.position, view.t - view.delay_s)[0][0]
+            return Pair(leak * fast, leak + fast).forced(view.input, view.t - view.delay_s)[0][0]
+        return Lag(leak).forced(view.input, view.t - view.delay_s)[0][0]
 
     return Effect(
         "integrating",

@@ -66,7 +66,7 @@ def shaped_stores(dataset: Dataset, curved: Sequence[float]) -> Effect:
     def response(view: View, p: Sequence[float]) -> FloatArray:
         motion = view.motion
         if not isinstance(motion, Pair):
-            return view.forced(view.position)
+            return view.forced(view.input)
         u0, F = flow_of(p)
         return F * p[5] * (_levels(view, motion, p, u0, F) - 1.0)
 
@@ -122,7 +122,7 @@ def _levels(view: View, motion: Pair, p: Sequence[float], u0: float, F: float) -
     slow, fast = lags_of(motion)
     T1, T2 = (slow, fast) if p[0] > 0.5 else (fast, slow)
     again = [r for r in view.dataset.restarts_s[1:] if r < view.t[-1]]
-    grid, v, h = steps_of(view, view.position, again)
+    grid, v, h = steps_of(view, view.input, again)
     flow = np.maximum(v - u0, 0.0) / F
     first = max(-u0 / F, 0.0)
     begin = tuple(min(max(first ** (1.0 / p[k]) + p[k + 3], 0.0), HIGHEST) for k in (4, 5))

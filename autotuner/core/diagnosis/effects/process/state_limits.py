@@ -73,13 +73,13 @@ def overflowing_stores(dataset: Dataset) -> Effect:
 def _levels(view: View, p: Sequence[float], extreme: float, swing: float) -> FloatArray:
     motion = view.motion
     if not isinstance(motion, Pair):
-        return view.forced(view.position)
+        return view.forced(view.input)
     slow, fast = lags_of(motion)
     lags = (slow, fast) if p[0] > 0.5 else (fast, slow)
     limits = (extreme - p[1] * swing, extreme - p[3] * swing)
     start = (p[5] * swing, p[6] * swing)
     again = [r for r in view.dataset.restarts_s[1:] if r < view.t[-1]]
-    grid, v, h = steps_of(view, view.position, again)
+    grid, v, h = steps_of(view, view.input, again)
     restarts = set(np.searchsorted(grid, again).tolist())
     decays = [np.exp(-h / T).tolist() for T in lags]
     x2 = _run(v.tolist(), decays, limits, (p[2], p[4] / swing), (start, restarts))
