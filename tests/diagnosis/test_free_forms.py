@@ -331,3 +331,20 @@ def test_what_begins_right_after_one_of_few_moves_is_an_answer_to_it(begins_s, c
     output = np.where(np.arange(N) < 100, 0.0, np.where(np.arange(N) < 350, 5.0, -2.0))
     dataset = dataset_of(recorded(output, np.zeros(N), 0.1))
     assert by_chance(dataset, begins_s) is chance
+
+
+def test_a_load_that_enters_a_process_with_a_slow_mode_is_named_beside_it(among):
+    """Two paths, 1.4/(10 s + 1) + 0.6/(80 s + 1), under an output and a load of 3 from 280 s: both take either path."""
+    among("slow_mode", "load_step", "drift")
+    output = steps()
+
+    def two_paths(x, u, t):
+        v = u + (3.0 if t >= 280.0 else 0.0)
+        return np.array([(1.4 * v - x[0]) / 10.0, (0.6 * v - x[1]) / 80.0])
+
+    found = diagnose(recorded(output, integrated(two_paths, output, [0.0, 0.0]).sum(axis=1), 0.05))
+    named = {effect.name: effect.parameters for effect in found.effects}
+    assert set(named) == {"slow_mode", "load_step"}
+    assert named["slow_mode"]["time_constant_s"] == pytest.approx(80.0, rel=0.1)
+    assert named["slow_mode"]["share"] == pytest.approx(0.3, rel=0.1)
+    assert named["load_step"] == pytest.approx({"at_s": 280.0, "size": 3.0}, rel=0.02)

@@ -3,6 +3,7 @@
 pair of lags -> one lag      form of friction with two numbers -> plain play
 kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
+form of an effect whose further numbers say nothing -> its plain form
 
 Two are made richer: stores that overflow -> stores of any shape, whose search needs these to begin from; and a pair of
 lags -> three, which is no effect, but whose absence biases the gain by many of its standard errors.
@@ -90,6 +91,18 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
         return chosen
     (at,) = _values_of(chosen, kink)
     return _plainer(context, chosen, _exchanged(chosen, kink, limit, [1.0 - at if side == "high" else at]))
+
+
+def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with the plain form of an effect where the further numbers of its form say nothing."""
+    for rich in [e for e in chosen.problem.effects if e.form]:
+        known = dict(zip([s.name for s in rich.searched], _values_of(chosen, rich), strict=True))
+        plain = next((e for e in effects if e.name == rich.name and not e.form), None)
+        if plain is not None and all(s.name in known for s in plain.searched):
+            values = [known[s.name] for s in plain.searched]
+            # One lag may be enough only beside the plain form: the rich one has taken up what the second one left.
+            chosen = _plainer(context, chosen, simplest(context, _exchanged(chosen, rich, plain, values)))
+    return chosen
 
 
 def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

@@ -56,6 +56,7 @@ from autotuner.core.diagnosis.search.simplify import (
     simplest,
     with_best_moment,
     with_own_shapes,
+    with_plain_forms,
     with_plain_limit,
     with_plain_play,
     with_plain_step,
@@ -166,6 +167,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
+    chosen = with_plain_forms(context, chosen, effects)
     # Moves that are late by times of their own: where no further move separates the two, both are reported.
     pool += with_own_times(context, base, PAIR) if FLOW in chosen.names and not late else []
     closest = closest_first([*pool, base.best])[0]
