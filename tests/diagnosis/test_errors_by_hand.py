@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner import Recording
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.findings.errors_by_part import Errors
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
@@ -300,6 +301,23 @@ def test_a_third_effect_has_to_complete_the_explanation(effects, before, after, 
     named = tuple(SimpleNamespace(measured=k == 0, reads_as=None) for k in range(effects + 1))  # the first has a column
     last = replace(last, problem=replace(last.problem, effects=named))
     assert weighs_enough(context, alone, first, last) is expected
+
+
+@pytest.mark.parametrize(("first", "second", "expected"), [
+    (Place.DISTURBANCE, Place.ACTUATOR, True), (Place.ACTUATOR, Place.DISTURBANCE, False),
+    (Place.DISTURBANCE, Place.SENSOR, False),
+])  # fmt: skip
+def test_what_the_output_does_is_no_correction_of_a_large_drift(first, second, expected):
+    """Three of the 10,000 squares, to the noise: of a drift's form, or play beside it."""
+    _, context = seen_of(COURSE)
+    alone, before, after = (model_of(context, COURSE, size * WHITE[0]) for size in (100.0, 2.0, 1.0))
+    effects = [
+        SimpleNamespace(name=name, place=place, measured=False, reads_as=None)
+        for name, place in (("first", first), ("second", second))
+    ]
+    before = replace(before, problem=replace(before.problem, effects=tuple(effects[:1])))
+    after = replace(after, problem=replace(after.problem, effects=tuple(effects)))
+    assert weighs_enough(context, alone, before, after) is expected
 
 
 # ------------------------------------------------------------------------------------------------------- coincidence

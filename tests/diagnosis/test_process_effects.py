@@ -282,22 +282,6 @@ def test_a_zero_on_the_right_side_is_no_inverse_response():
     assert not fitted.is_meaningful()
 
 
-@pytest.mark.parametrize(
-    ("key", "p", "plants"),
-    [
-        ("slow_mode", (math.log(90.0),), [PAIR, Fopdt(0.9, 90.0, PAIR.D)]),
-        ("inverse_response", (), [InverseResponse(PAIR.K, PAIR.T1, PAIR.T2, 25.0, PAIR.D)]),
-    ],
-)
-def test_a_load_passes_all_of_the_process(key, p, plants):
-    """It enters where the output does: what is beside the process, or its zero, answers to it too."""
-    recording = added(*(record(plant, moves(), loads=[LoadStep(90.5, 4.0)]) for plant in plants))
-    dataset = dataset_of(recording)
-    load = (load_at_the_input(dataset), (90.5 / dataset.span_s, 4.0 / dataset.swing))
-    fitted = at_the_truth(recording, PAIR, (of_form(effects_of(recording, PAIR), key), p), load, dataset=dataset)
-    assert left(fitted) < 1e-9
-
-
 def test_a_third_lag_is_the_simulators():
     plant = LagChain(PAIR.K, (PAIR.T1, PAIR.T2, 6.0), PAIR.D)
     recording = record(plant, moves())

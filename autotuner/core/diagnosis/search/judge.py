@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.free_forms import free_load_after
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, FLOOR, noise_at_rest
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -61,6 +62,8 @@ HALVED = 0.5
 """Ratio of the misfits on the held-out part up to which a further effect predicts it."""
 NOISE_ELSEWHERE = 1.25
 """Ratio of misfit to noise on the held-out part, often short, below which it has nothing but noise."""
+OF_TIME = frozenset({Place.DISTURBANCE, Place.SENSOR})
+"""Places of effects that are functions of time, which no move of the output changes."""
 NOTHING_LEFT, VISIBLE = 1.12, 1.5
 """Ratio of misfit to noise that counts as noise, and from which a model is never called adequate."""
 
@@ -223,4 +226,16 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     foretold = _part_of_fall(held_alone**2, held_before**2, held_after**2)
     third = sum(not effect.measured for effect in after.problem.effects) > SEVERAL
     heavy = weight > LEAST_WEIGHT and not third
-    return heavy or silences or ((weight > FAINT or foretold > FORETOLD) and (completes or confirmed))
+    shown = weight > FAINT or foretold > FORETOLD
+    return heavy or silences or (shown and (completes or confirmed)) or (completes and _acts_otherwise(before, after))
+
+
+def _acts_otherwise(before: Fitted, after: Fitted) -> bool:
+    """Return whether what is new changes how the output acts, where before there were only functions of time.
+
+    It corrects no form of theirs, however small its squares are beside those of a drift.
+    """
+    kept = before.problem.effects
+    names = {e.name for e in kept}
+    new = [e for e in after.problem.effects if e.name not in names]
+    return bool(kept) and all(e.place in OF_TIME for e in kept) and not any(e.place in OF_TIME for e in new)
