@@ -19,7 +19,7 @@ from autotuner.core.diagnosis.search.simplify import with_third_lag
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.model.step_responses import Lag, Pair
 from autotuner.core.recording import Recording
-from autotuner_sim import Fopdt, LoadStep, RationalPlant, SopdtOverdamped
+from autotuner_sim import Fopdt, LoadStep, PeriodicLoad, RationalPlant, Saturation, SopdtOverdamped
 from tests.diagnosis.simulated import INTEGRATOR, LAG, OUTPUT0, PAIR, RINGING, at_the_truth, moves, of_form, record
 
 SPAN_S = 299.0
@@ -50,6 +50,16 @@ def test_a_process_that_integrates_is_found_where_none_settles():
     found = base_of(bench_of(dataset_of(noisy(record(INTEGRATOR, moves())))), ("offset",), 0)
     assert found.best.process().structure == "integrating"
     assert found.best.process().parameters() == pytest.approx({"K": 0.05, "T": 6.0, "D": 2.0}, rel=0.1)
+
+
+def test_a_wave_that_a_ringing_pair_takes_up_leaves_a_start_with_lags():
+    """A load of 6 with a period of 120 s, beside a limit: the closest pair rings, the plant has one lag of 40 s."""
+    physics = {"actuators": [Saturation(0.0, 43.0)], "loads": [PeriodicLoad(6.0, 120.0)]}
+    recording = noisy(record(Fopdt(2.0, 40.0, 8.0), moves(600, 40), **physics), 0.05, seed=4)
+    found = base_of(bench_of(dataset_of(recording)), ("offset", "state"), 0)
+    pairs = [origin.problem.split(origin.theta)[0] for origin in found.origins]
+    assert pairs[0][0] ** 2 < 0.1 * 4.0 * math.prod(pairs[0])  # n^2 < 4 m: complex poles
+    assert any(lag == pytest.approx(40.0, rel=0.3) and ratio < 1.0 for lag, ratio in pairs)
 
 
 def test_a_declared_process_is_held_as_it_is_beside_a_free_one():
