@@ -14,6 +14,7 @@ from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.search import search
 from autotuner.core.diagnosis.search.judge import held_out, is_supported, weigh
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_limit
@@ -120,3 +121,17 @@ def test_a_column_stays_while_more_than_noise_is_left(hidden, kept):
     found = dropped_back(context, SimpleNamespace(best=alone, held=None), pair)
     assert ("measured_disturbance" in found.names) is kept
     assert "saturation" in found.names
+
+
+def test_play_is_tried_whatever_its_first_widths_are_worth(monkeypatch):
+    """Beside the drift no seat is left for another effect, and play is the actuator's own all the same."""
+    monkeypatch.setattr(search, "FURTHER", (0, 1, 1))
+    recording = noisy(actuators=[Backlash(1.3)], offsets=[Drift(0.01)])
+    context = bench_of(dataset_of(recording))
+    drift = of_form(loads_of(context.dataset), "drift")
+    start = at_the_truth(recording, LAG, (drift, []), dataset=context.dataset)
+    alone = fit(start.problem, start.theta, 20)
+    effects = [*friction_effects(context.dataset), *saturations(context.dataset)]
+    (found,) = extend(context, [alone], effects)
+    assert found.names == ("backlash", "drift")
+    assert found.sizes()[0]["width"] == pytest.approx(1.3, rel=0.1)

@@ -34,6 +34,7 @@ KEPT, LOOKED_AT_AGAIN = 2, 3
 class Start:
     """An effect added to a base, and where its search begins."""
 
+    effect: Effect
     problem: Extended
     theta: FloatArray
     score: float
@@ -97,7 +98,7 @@ def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start
     problem = replace(base.problem, effects=effects, rows=context.screen)
     score = _score_of_columns if effect.only_adds else _score_of_change
     return [
-        Start(problem, theta, score(context, tangent, effect, problem, theta, values))
+        Start(effect, problem, theta, score(context, tangent, effect, problem, theta, values))
         for values in effect.starts
         for theta in [theta_with(base, problem, effect, values)]
     ]
