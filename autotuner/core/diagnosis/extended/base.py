@@ -64,7 +64,7 @@ MANY_TIMES = 3.0
 """Ratio of a disturbance to the range of the PV above which it is not an explanation."""
 NEARLY = 1.05
 """Ratio of errors up to which the model of one lag is preferred, as the simpler one."""
-HARDLY, SHORT = 0.2, 0.3
+LIGHTLY_DAMPED, SHORT = 0.2, 0.3
 """Damping ratio below which the ringing of a pair may be a disturbance; the short second lag, in samples."""
 CLOSE = 0.15
 """Difference of all logarithms under which two process models count as one place to start from."""
@@ -146,8 +146,7 @@ def _pair_at_least_as_good(context: FitContext, fits: list[Fitted]) -> list[Fitt
     if single is None or (pair is not None and pair.rms <= single.rms * NEARLY):
         return fits
     problem = replace(single.problem, structure=SECOND_ORDER, rows=context.fine)
-    start = np.array([single.theta[0], math.log(SHORT * context.dataset.data.interval_s), single.theta[-1]])
-    again = fit(problem, start, STEPS)
+    again = fit(problem, _as_pair(context, single), STEPS)
     return [single, *([again] if is_physical(again) else [])]
 
 
@@ -224,22 +223,27 @@ def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: G
     origins = [pair]
     if best.rms > NOTHING_LEFT * math.hypot(context.dataset.noise, context.dataset.floor):
         origins += [*_of_parts(context, pair, prior), *_without_jumps(context, pair, prior)]
-        origins += [_of_one_lag(context, f) for f in fits if f.problem.structure is FOPDT and _hardly_damped(pair)]
+        origins += [_of_one_lag(context, f) for f in fits if f.problem.structure is FOPDT and _is_lightly_damped(pair)]
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
     return [*_distinct(origins), *closest_first(better)[:1]]
 
 
-def _hardly_damped(pair: Fitted) -> bool:
+def _is_lightly_damped(pair: Fitted) -> bool:
     """Return whether a pair rings for many periods, as a disturbance that is periodic may look."""
     (n, ratio), _, _ = pair.problem.split(pair.theta)
-    return n < 4.0 * HARDLY**2 * ratio  # zeta = n/(2 sqrt(m)), and ratio = m/n
+    return n < 4.0 * LIGHTLY_DAMPED**2 * ratio  # zeta = n/(2 sqrt(m)), and ratio = m/n
 
 
 def _of_one_lag(context: FitContext, single: Fitted) -> Fitted:
     """Return one lag as a pair with a short second one."""
-    theta = np.insert(single.theta, 1, math.log(SHORT * context.dataset.data.interval_s))
-    return fit(replace(single.problem, structure=SECOND_ORDER, rows=context.coarse), theta, 0)
+    return fit(replace(single.problem, structure=SECOND_ORDER, rows=context.coarse), _as_pair(context, single), 0)
+
+
+def _as_pair(context: FitContext, single: Fitted) -> FloatArray:
+    """Return the numbers of one lag with a short second one."""
+    theta: FloatArray = np.insert(single.theta, 1, math.log(SHORT * context.dataset.data.interval_s))
+    return theta
 
 
 def _of_parts(context: FitContext, pair: Fitted, prior: GainPrior) -> list[Fitted]:
