@@ -56,7 +56,7 @@ PACKAGE = re.compile(r"^\S.*\n?(?:\s.*\n?)*", re.MULTILINE)
 INSTALLERS = 2
 """Processes that install packages at once: as many as the smallest machine has processors."""
 UNCOMPILED = r"[/\\](tests?|pip|setuptools|debugpy|fontTools|IPython|mypy|mypyc|graphql|jedi)[/\\]"
-"""Folders that are not compiled beforehand: the packages' own tests, and what one program at most imports in part."""
+"""Folders that are not compiled beforehand: the packages' own tests, and packages of which few modules are used."""
 COMPILING = ["-m", "compileall", "-qq", "-j", "0", "-x", UNCOMPILED]
 """How what was installed is compiled: on all processors, where pip takes one."""
 
@@ -85,7 +85,7 @@ RUNS = {
         *UNUSED,
     ],
     "alone on the machine": ["-m", "not long and realtime and alone", *UNUSED],
-    "that take minutes": ["-m", "long", "--numprocesses=auto", "--dist=load"],
+    "of the long run": ["-m", "long", "--numprocesses=auto", "--dist=load"],
 }
 """The tests by runs. Most that are on the wall clock wait for processes; those that measure it run alone."""
 QUICK = "side by side"
@@ -100,7 +100,7 @@ COVERAGE = ["--cov", "--cov-report=term"]
 WORDS: dict[str, tuple[list[str], list[str]]] = {
     "test": ([QUICK, WAITING, ALONE], []),
     "quick": ([QUICK], []),
-    "long": (["that take minutes"], []),
+    "long": (["of the long run"], []),
     "coverage": ([QUICK], COVERAGE),
 }
 """The runs of each word, and what it tells pytest beside."""

@@ -29,7 +29,6 @@ def shell(line, **environment):
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.long  # tables without frames are in test_commands
 def test_an_encoding_without_frames_is_no_error():
     code, out, err = shell(GAINS, PYTHONIOENCODING="ascii")
     assert (code, err) == (0, "")

@@ -94,7 +94,6 @@ def test_a_load_in_the_tail_is_noted_and_asks_for_nothing(recording):
     assert largest_sensitivity(Fopdt(2.0, 10.0, 1.5), analysis.gains.gains) == pytest.approx(1.4, abs=0.02)
 
 
-@pytest.mark.long  # a load step, above, asks for gains on parts
 def test_gains_hold_on_parts_only_where_these_are_of_one_process(recording):
     """A check under twice the gain belongs to another process than the relay's: there the gains are near the edge."""
     whole = identify(recording)
@@ -183,7 +182,6 @@ def test_a_record_that_no_effect_explains_gets_no_gains(recording):
     assert analysis.verdict.remedy
 
 
-@pytest.mark.long  # the next one shows a record that gets no gains
 def test_without_the_check_the_record_itself_is_judged(recording):
     load = 6.0 * np.sin(2.0 * np.pi * recording.t / 23.0)
     analysis = analyse(Recording(recording.t, recording.output, recording.pv + load))

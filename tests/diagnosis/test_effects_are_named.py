@@ -33,7 +33,7 @@ ACTUATOR = ("backlash", "stiction", "saturation", "rate_limit", "output_quantisa
 LOAD = ("load_step", "bias_step", "drift")
 
 
-@pytest.mark.one_of(3)
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize("name", ["backlash", "saturation", "output_quantisation"])
 def test_an_effect_of_the_actuator_is_named_alone_with_its_size(name, among):
     among(*ACTUATOR)

@@ -76,7 +76,6 @@ def test_the_parts_follow_the_stated_rule():
     assert parts_of(plain).test_from_s == pytest.approx(0.8 * (record.t[-1] - record.t[0]), abs=0.5)
 
 
-@pytest.mark.long  # an unused column is in test_records_as_they_come
 @pytest.mark.usefixtures("without_gains")
 def test_an_unused_column_changes_no_figure(among):
     among("backlash", "measured_disturbance", "load_step")

@@ -122,7 +122,7 @@ def test_of_two_columns_that_tell_the_same_the_better_one_is_taken_in(among):
     assert any(note.startswith("column rough is not taken in") for note in found.notes)
 
 
-@pytest.mark.long  # tests/identification shows it without effects
+@pytest.mark.long  # test_parts has an unused column
 def test_a_column_that_does_nothing_is_not_taken_in_and_the_reader_is_told(among):
     among(*OUTSIDE)
     t, output, pv = closed_form()

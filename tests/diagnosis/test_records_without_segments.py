@@ -84,7 +84,7 @@ def test_an_actuator_that_is_updated_at_uneven_times_is_named(seed):
     assert answer.error["fitted"].after < 1.3 * 0.05 < answer.error["fitted"].before / 4.0
 
 
-@pytest.mark.long  # jumps are in test_jumps
+@pytest.mark.long  # the next one shows a jump
 def test_a_jump_of_the_reading_after_the_fitted_part_is_named():
     output = np.repeat([40.0, 50.0, 36.0], [30, 100, 120])
     pv = integrated(output, straight)
@@ -113,7 +113,6 @@ def relay_with_a_bad_reading(until=700):
     return np.array(output), np.array(pv)
 
 
-@pytest.mark.long  # jumps are in test_jumps
 def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named(among):
     among("bias_step", "load_step", "drift")
     output, pv = relay_with_a_bad_reading()
@@ -122,7 +121,6 @@ def test_a_reading_that_jumps_there_and_back_under_a_relay_is_named(among):
     assert answer.effects[0].parameters["size"] == pytest.approx(-3.0, abs=0.2)
 
 
-@pytest.mark.long  # the next one shows a wave
 def test_a_wave_that_one_process_has_taken_up_is_named(among):
     """Its period is a few of the lags, and its size a good part of what the steps make."""
     among("periodic_disturbance", "ambient", "load_step")
@@ -134,7 +132,7 @@ def test_a_wave_that_one_process_has_taken_up_is_named(among):
     assert answer.effects[0].parameters["amplitude"] == pytest.approx(6.0, rel=0.05)
 
 
-@pytest.mark.long  # the next tests show others; a line's period is in test_disturbance_effects
+@pytest.mark.long  # the wave above shows the search
 def test_a_wave_that_begins_within_the_record_is_named(among):
     among("periodic_disturbance", "ambient", "load_step")
     output = levels(np.random.default_rng(7), 600, 15, 60)

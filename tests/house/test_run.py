@@ -240,7 +240,6 @@ def disturbed(run, monkeypatch):
     return run
 
 
-@pytest.mark.long  # one that fails again is repeated too
 def test_a_disturbed_test_passes_alone_and_is_told(disturbed, capfd):
     (disturbed.ROOT / "quiet").touch()
     assert disturbed.main(["test"]) == 0

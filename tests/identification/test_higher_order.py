@@ -82,7 +82,7 @@ def test_a_structure_asked_for_is_what_is_fitted():
     assert isinstance(identify(record, structure="third_order").model, ThirdOrder | ThirdOrderUnderdamped)
 
 
-@pytest.mark.long  # four lags show the bounds
+@pytest.mark.long  # close lags are in test_least_squares
 def test_lags_that_are_nearly_equal_have_bounded_errors_and_gains_near_those_of_the_true_process():
     lags = (12.0, 11.0, 9.0)
     found = identify(relayed(denominator(lags), 2.0, 2.0, 0.01, 0.5), structure="third_order")

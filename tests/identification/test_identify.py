@@ -156,7 +156,7 @@ def test_a_saturated_sensor_is_named(record_relay):
     assert any("saturated" in warning for warning in identify(clipped).warnings)
 
 
-@pytest.mark.long  # unstable processes are in test_least_squares
+@pytest.mark.long  # tests/core/test_first_try has an unstable process
 def test_a_growing_oscillation_does_not_break_it():
     t = np.arange(0.0, 50.0, 0.25)
     found = identify(Recording(t, np.sign(np.sin(t)), np.exp(0.3 * t) * np.sin(t)))

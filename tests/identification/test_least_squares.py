@@ -37,7 +37,7 @@ def values(plant):
     return {name: getattr(plant, name) for name in STRUCTURES[plant.structure].__slots__}
 
 
-@pytest.mark.one_of(3)
+@pytest.mark.one_of(2)
 @pytest.mark.parametrize(("plant", "dt"), PLANTS, ids=str)
 def test_five_switches_without_noise_give_the_process_itself(record_relay, plant, dt):
     found = identify(record_relay(plant, dt))
@@ -106,7 +106,6 @@ def close_lags(record_relay):
     return plant, records, [identify(record, plant.structure).estimates["least_squares"] for record in records]
 
 
-@pytest.mark.long  # test_higher_order has nearly equal lags
 def test_close_lags_are_reported_as_close(close_lags):
     plant, _, estimates = close_lags
     for name in ("T1", "T2", "K", "D"):

@@ -213,7 +213,7 @@ def test_a_controller_held_back_by_a_limit_has_no_describing_function():
     assert pytest.approx(10.0, rel=1e-3) == found.model.T
 
 
-@pytest.mark.long  # tests/control tunes a noisy loop beside its controller
+@pytest.mark.long  # tests/service tunes a noisy loop beside its controller
 def test_least_squares_has_no_bias_from_the_feedback_of_the_noise():
     """20 experiments: the mean of D and of K/T (what the relay shows) is the truth within its own error."""
     models = [identify(conduct(SETTINGS, noise=0.1, seed=seed), structure="fopdt").model for seed in range(20)]

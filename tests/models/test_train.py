@@ -90,7 +90,6 @@ def test_two_processes_make_the_same_data(made, tmp_path):
     assert in_a_process(GENERATED, str(tmp_path)) == made
 
 
-@pytest.mark.long  # an interrupted run makes the same data too
 def test_a_dask_cluster_makes_the_same_data(made, tmp_path):
     pytest.importorskip("distributed", reason="an extra: only those who have a cluster need it")
     assert in_a_process(ON_A_CLUSTER, str(tmp_path)) == made

@@ -86,7 +86,7 @@ async def test_applied_the_loop_follows_as_predicted_and_rollback_restores_every
         assert device.auto
 
 
-@pytest.mark.long  # tests/core/test_monitoring has the valve
+@pytest.mark.long  # tests/design/test_verification has the valve, the tests beside it what goes back
 async def test_a_valve_that_began_to_stick_is_found_and_everything_goes_back(serving, configure):
     from autotuner_sim.effects import Backlash
 

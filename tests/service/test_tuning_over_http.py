@@ -203,7 +203,7 @@ async def test_other_gains_need_no_new_test(serving, check_problem):
     check_problem(refused, 422, "unusable-value")
 
 
-@pytest.mark.long  # other gains need no new test, below
+@pytest.mark.long  # other gains need no new test, above
 async def test_a_rule_that_does_not_fit_the_process_does_not_lose_the_test(serving, configure):
     heater = configure().loops["heater"].model_dump(exclude_unset=True)
     plant = {"structure": "sopdt_underdamped", "K": 2.0, "m": 25.0, "n": 4.0, "D": 1.5}

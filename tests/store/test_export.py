@@ -79,7 +79,6 @@ def changed(text, change, *, signed):
     return json.dumps(whole)
 
 
-@pytest.mark.long  # a changed file is refused, below
 def test_a_result_that_differs_is_told(file, text, capsys):
     def other(whole):
         whole["result"]["gains"]["Kp"] *= 1.0 + 1e-15

@@ -151,7 +151,7 @@ def with_best_moment(context: FitContext, chosen: Fitted) -> Fitted:
 
 
 def _plainer(context: FitContext, chosen: Fitted, plainer: Fitted, more: float = 0.0) -> Fitted:
-    """Return the plainer explanation unless the criterion speaks against it by `more`, or the other part or physics."""
+    """Return the plainer explanation unless the criterion (by `more`), the other part or physics speaks against it."""
     inflated = context.colour(chosen)
     good = is_physical(plainer) and context.criterion(plainer, inflated) <= context.criterion(chosen, inflated) + more
     left = math.hypot(context.held_out_error(chosen), context.dataset.floor)
