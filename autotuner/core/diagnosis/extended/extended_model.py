@@ -87,6 +87,10 @@ class Extended:
             delay = Searched("D", self.fixed[-1], self.fixed[-1])
         return (*shape, delay, *(s for effect in self.effects for s in effect.searched))
 
+    def with_effect(self, effect: Effect) -> Extended:
+        """Return the model with one effect more, at its place in the row from output to PV."""
+        return replace(self, effects=tuple(sorted((*self.effects, effect), key=lambda e: e.rank)))
+
     def split(self, theta: FloatArray) -> tuple[list[float], float, list[list[float]]]:
         """Return the shape, the dead time, s, and each effect's values."""
         size = len(self.structure.shape)

@@ -121,7 +121,7 @@ def _hidden(context: FitContext, chosen: Fitted, noise: float, doubts: Sequence[
     most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(noise, context.dataset.floor)
     spots = []
     for doubt in (d for d in doubts if fits_beside(d.effect, plain.effects)):
-        problem = replace(plain, effects=tuple(sorted((*plain.effects, doubt.effect), key=lambda e: e.rank)))
+        problem = plain.with_effect(doubt.effect)
         largest = None
         for share, values in zip(SHARES, doubt.values, strict=True):
             theta = theta_with(chosen, problem, doubt.effect, values)

@@ -65,8 +65,7 @@ def _with_dead_time(context: FitContext, origin: Fitted, added: float) -> Fitted
 
 
 def _from_less(context: FitContext, pair: Fitted, effect: Effect) -> Fitted:
-    effects = tuple(sorted((*pair.problem.effects, effect), key=lambda e: e.rank))
-    problem = replace(pair.problem, effects=effects, rows=context.coarse)
+    problem = replace(pair.problem.with_effect(effect), rows=context.coarse)
     at = len(problem.structure.shape)
     fits = []
     for start, share in product(effect.starts, KEPT):

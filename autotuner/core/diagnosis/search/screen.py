@@ -94,8 +94,7 @@ def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start
     base = tangent.base
     if not fits_beside(effect, base.problem.effects):
         return []
-    effects = tuple(sorted((*base.problem.effects, effect), key=lambda e: e.rank))
-    problem = replace(base.problem, effects=effects, rows=context.screen)
+    problem = replace(base.problem.with_effect(effect), rows=context.screen)
     score = _score_of_columns if effect.only_adds else _score_of_change
     return [
         Start(effect, problem, theta, score(context, tangent, effect, problem, theta, values))
