@@ -168,6 +168,10 @@ def controller_response(gains: PidGains, frequency_rad_s: FloatArray) -> Complex
         Angular frequencies other than zero, rad/s.
     """
     s = np.asarray(1j * frequency_rad_s, dtype=np.complex128)
-    unfiltered = gains.Kp + gains.Ki / s + gains.Kd * s / (1.0 + s * gains.derivative_filter_s)
-    response: ComplexArray = unfiltered / (1.0 + s * gains.Tf * (1.0 + s * gains.Tf / 2.0))
+    derivative = gains.Kd * s
+    if gains.derivative_filter_s:
+        derivative /= 1.0 + s * gains.derivative_filter_s
+    response: ComplexArray = gains.Kp + gains.Ki / s + derivative
+    if gains.Tf:
+        response /= 1.0 + s * gains.Tf * (1.0 + s * gains.Tf / 2.0)
     return response

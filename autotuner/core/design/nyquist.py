@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -96,6 +97,12 @@ class PathEnds:
     tail: float
     delayed: bool
 
+    def times(self, k: float) -> PathEnds:
+        """Return the path of `1 + k L`."""
+        return PathEnds(
+            self.integrators, self.dc_gain, k * self.low_gain, self.unstable_poles, k * self.tail, self.delayed
+        )
+
     @property
     def start(self) -> complex:
         """The direction of `1 + L` for w -> 0."""
@@ -135,6 +142,7 @@ def path_ends(model: ProcessModel, gains: PidGains) -> PathEnds:
     )
 
 
+@lru_cache(maxsize=16)
 def _right_half_plane_roots(a: tuple[float, ...]) -> int:
     """Return how many roots of `a0 + a1 s + ...` lie right of the imaginary axis; of order 2 by signs (Routh)."""
     if len(a) > 3:
@@ -169,10 +177,25 @@ def encircles_nothing(ends: PathEnds, L: ComplexArray) -> bool:
     """Return whether Nyquist's criterion holds: no closed-loop pole right of the axis."""
     if math.isinf(ends.tail) or (ends.delayed and abs(ends.tail) >= 1.0) or ends.start == 0.0:
         return False
-    f = 1.0 + L
     end = 1.0 if ends.delayed else 1.0 + ends.tail
-    path = np.concatenate(([ends.start], f, [end]))
-    if np.any(path == 0.0):
+    path = np.concatenate(([ends.start], 1.0 + L, [end]))
+    if not np.all(path):
         return False
-    angle = float(np.sum(np.angle(path[1:] / path[:-1])))
-    return round(ends.unstable_poles - angle / math.pi + ends.integrators / 2.0) == 0
+    return round(ends.unstable_poles - turned(path) / math.pi + ends.integrators / 2.0) == 0
+
+
+def turned(path: ComplexArray) -> float:
+    """Return the angle by which a path turns around 0, rad: that of its ends, and a turn for each time it passes left.
+
+    Parameters
+    ----------
+    path : array of complex, shape (n,)
+        Points of the path, none at 0, each less than half a turn from the one before.
+    """
+    below = path.imag < 0.0
+    at = np.flatnonzero(below[1:] != below[:-1])
+    p, q, upwards = path[at], path[at + 1], below[at]
+    passes_left = (p.real * q.imag - p.imag * q.real < 0.0) == upwards
+    turns = np.count_nonzero(passes_left & ~upwards) - np.count_nonzero(passes_left & upwards)
+    first, last = (math.atan2(end.imag + 0.0, end.real) for end in (path[0], path[-1]))  # -0 is on the same side as 0
+    return last - first + 2.0 * math.pi * turns

@@ -23,17 +23,16 @@ search that evaluates hundreds of controllers pays for the cosines once.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.design.gains import controller_response
+from autotuner.core.design.gains import PidGains, controller_response
 from autotuner.core.model.process import frequency_response, sum_of_lags
 
 if TYPE_CHECKING:
-    from autotuner.core.design.gains import PidGains
     from autotuner.core.model.arrays import ComplexArray, FloatArray
     from autotuner.core.model.process import ProcessModel
 
@@ -84,12 +83,11 @@ class LoopGrid:
 
     def controller(self, gains: PidGains) -> ComplexArray:
         """Return `C(jw) F(jw)` at the frequencies, shape (N,)."""
-        return gains.Kp * _of_unit_gain(self, replace(gains, Kp=1.0))
+        return gains.Kp * _of_unit_gain(self, gains.Ti, gains.Td, gains.Tf, gains.N)
 
     def load_error(self, gains: PidGains) -> FloatArray:
         """Return the PV at `t` after a unit step of load at the process input, shape (M,)."""
-        loop = self.controller(gains) * self.process
-        spectrum = self.undelayed / (1j * self.w * (1.0 + loop))
+        spectrum = self.undelayed / (1j * self.w * (1.0 + self.controller(gains) * self.process))
         error: FloatArray = self.matrix @ spectrum.real
         return error
 
@@ -119,9 +117,9 @@ class LoopGrid:
 
 
 @lru_cache(maxsize=2)
-def _of_unit_gain(grid: LoopGrid, shape: PidGains) -> ComplexArray:
+def _of_unit_gain(grid: LoopGrid, Ti: float, Td: float, Tf: float, N: float) -> ComplexArray:
     """Return the response of a controller; cached, because a search needs it for its gain, then for its errors."""
-    return controller_response(shape, grid.w)
+    return controller_response(PidGains(1.0, Ti, Td, Tf, N=N), grid.w)
 
 
 def loop_grid(model: ProcessModel) -> LoopGrid:

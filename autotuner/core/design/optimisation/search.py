@@ -67,12 +67,12 @@ class Search:
     def gains_at(self, shape: PidGains) -> PidGains | None:
         """Return `shape` (made for `Kp = 1`) with the largest gain inside all limits, or None."""
         unit = self.sign * self.grid.controller(shape)
+        loops, ends = unit * self.responses, path_ends(self.grid.model, shape).times(self.sign)
 
         def stable(k: float) -> bool:
-            ends = path_ends(self.grid.model, replace(shape, Kp=self.sign * k))
-            return encircles_nothing(ends, k * unit * self.grid.process)
+            return encircles_nothing(ends.times(k), k * loops[0])
 
-        k = largest_gain(unit * self.responses, self.Ms, self.Mt, stable)
+        k = largest_gain(loops, self.Ms, self.Mt, stable)
         if k is not None and self.requirements.noise is not None:
             k = self._quiet_gain(k, unit)
         return None if k is None else replace(shape, Kp=self.sign * k)
