@@ -9,6 +9,7 @@ import asyncio
 import asyncio.runners
 import collections
 import contextlib
+import functools
 import gc
 import hashlib
 import logging
@@ -35,6 +36,7 @@ use_one_thread()  # before anything imports numpy
 from autotuner.application.analysis import procedure  # noqa: E402
 from autotuner.application.analysis.learned import ARTEFACTS  # noqa: E402
 from autotuner.application.computing.compute_pool import InPlace  # noqa: E402
+from autotuner.control.devices import plugins  # noqa: E402
 from autotuner.core.design import design_procedure  # noqa: E402
 from autotuner.errors import InputError  # noqa: E402
 
@@ -51,8 +53,8 @@ SIGNALS = sorted(
 """Not SIGINT: where it was ignored, as in the background of a script, asyncio leaves Python's own handler."""
 THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
 """How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
-FROZEN = gc.get_freeze_count()
-"""Objects that the interpreter itself has put aside: Python 3.12 does at its start."""
+FROZEN = [gc.get_freeze_count()]
+"""Objects that were put aside: by the interpreter itself (Python 3.12 does at its start), then after the collection."""
 OPEN_FILES = "/proc/self/fd"
 GRACE_S = 2.0
 """Longest wait for a thread or a worker process that is already on its way out, s."""
@@ -80,8 +82,10 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish():
-    """Let the collector work again."""
+    """Let the collector work again, on what the tests make: it would look at all that was collected each time."""
+    gc.freeze()
     gc.enable()
+    FROZEN.append(gc.get_freeze_count())
 
 
 def pytest_configure(config):
@@ -125,6 +129,7 @@ def computed_once():
         return _read(file) if file.exists() else _kept(file, tune(*args, **kwargs))
 
     with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(plugins, "entry_points", functools.cache(plugins.entry_points))  # they stay
         patched.setattr(InPlace, "run", run_once)
         patched.setattr(design_procedure, "tune", tune_once)
         yield
@@ -241,7 +246,7 @@ def _state():
         "level of the log": root.level,
         "handlers of the log": [handler for handler in root.handlers if not _of_pytest(handler)],
         "folder": _folder(),
-        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count() > FROZEN),
+        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count() > FROZEN[-1]),
         "switch interval": sys.getswitchinterval(),
         "module search path": tuple(sys.path),
         "umask": _umask(),
