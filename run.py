@@ -55,10 +55,12 @@ PACKAGE = re.compile(r"^\S.*\n?(?:\s.*\n?)*", re.MULTILINE)
 """A package in a file of pins: its version, then its hashes in lines that begin with a space."""
 INSTALLERS = 2
 """Processes that install packages at once: as many as the smallest machine has processors."""
-UNCOMPILED = r"[/\\](tests?|pip|setuptools|debugpy|fontTools|IPython|mypy|mypyc|graphql|jedi)[/\\]"
-"""Folders that are not compiled beforehand: the packages' own tests, and packages of which few modules are used."""
+UNCOMPILED = r"[/\\](tests?|pip|setuptools)[/\\]"
+"""Folders that are not compiled beforehand: the packages' own tests, and pip."""
 COMPILING = ["-m", "compileall", "-qq", "-j", "0", "-x", UNCOMPILED]
 """How what was installed is compiled: on all processors, where pip takes one."""
+COLLECTING = ["-m", "pytest", "--collect-only", "-qq"]
+"""How one process imports, and so compiles, what the tests do: a third of what is installed with them."""
 
 CHECKS = {
     "ruff check": ["-m", "ruff", "check"],
@@ -133,7 +135,7 @@ def main(words: list[str]) -> int:
         print(__doc__.partition("Invariants")[0].strip())
         return 0 if words else 2
     try:
-        install("test" if words[0] in WORDS else "runtime")
+        installed = install("test" if words[0] in WORDS else "runtime")
     except (InstallError, OSError) as error:
         say(str(error))
         return 1
@@ -142,7 +144,7 @@ def main(words: list[str]) -> int:
         return 130
     if words[0] == "release":
         return release()
-    return test(*words) if words[0] in WORDS else become([str(PYTHON), "-P", "-m", "autotuner", *words])
+    return test(*words, new=installed) if words[0] in WORDS else become([str(PYTHON), "-P", "-m", "autotuner", *words])
 
 
 def say(text: str) -> None:
@@ -150,10 +152,10 @@ def say(text: str) -> None:
     print(f"run.py: {text}", file=sys.stderr, flush=True)
 
 
-def install(kind: str) -> None:
-    """Bring `.venv` to the pins of `constraints/KIND.txt`; at once when it is there already."""
+def install(kind: str) -> bool:
+    """Bring `.venv` to the pins of `constraints/KIND.txt`; return False, at once, when it is there already."""
     if STAMP.exists() and fingerprint(kind) in STAMP.read_text(encoding="utf-8").split():
-        return
+        return False
     pip = working_pip()
     STAMP.unlink(missing_ok=True)
     pins = ROOT / "constraints" / f"{kind}.txt"
@@ -161,9 +163,11 @@ def install(kind: str) -> None:
     say(f"installing {len(packages)} packages into {VENV} (once; a minute or two)")
     install_pinned(pip, packages)
     run_pip([*pip, "install", "--no-deps", "--no-build-isolation", "-e", ROOT])
-    compile_installed()
+    if kind == "runtime":
+        compile_installed()
     covered = {kind, "runtime"}  # the pins of the tests contain those of the tuner
     STAMP.write_text("\n".join(map(fingerprint, sorted(covered))) + "\n", encoding="utf-8")
+    return True
 
 
 def install_pinned(pip: list[str | Path], packages: list[str]) -> None:
@@ -241,11 +245,16 @@ def become(command: list[str]) -> int:
                 continue  # the program got it too, and is giving the loop back
 
 
-def test(word: str, *extra: str) -> int:
-    """Run the checks and the tests of a word; `extra` goes to pytest."""
+def test(word: str, *extra: str, new: bool) -> int:
+    """Run the checks and the tests of a word; `extra` goes to pytest.
+
+    What is `new` is compiled by one process beside the checks: otherwise each worker would compile it for itself.
+    """
     chosen, options = WORDS[word]
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
         checks = pool.submit(failed_checks)
+        if new:
+            call([PYTHON, *COLLECTING, *extra], (*REDIRECTING, *SLOWING), cwd=ROOT, stdout=subprocess.DEVNULL)
         results = {name: Path(folder) / f"{name}.xml" for name in chosen}
         codes = run_all(results, [*options, *extra], checks)
         failed = checks.result()

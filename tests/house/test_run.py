@@ -67,6 +67,17 @@ def test_what_pip_leaves_to_be_compiled_is_compiled(run, monkeypatch):
     assert run.asked[-1] == "compiled"
 
 
+@pytest.mark.parametrize("new", [True, False])
+def test_what_the_tests_import_is_compiled_once_before_them(run, monkeypatch, new):
+    asked = []
+    monkeypatch.setattr(run, "install", lambda _kind: new)
+    monkeypatch.setattr(run, "failed_checks", list)
+    monkeypatch.setattr(run, "call", lambda command, *_without, **_options: asked.append(command[1:]))
+    monkeypatch.setattr(run, "run_tests", lambda *_words, **_options: asked.append("tests") or 0)
+    assert run.main(["quick", "tests/house"]) == 0
+    assert asked == [[*run.COLLECTING, "tests/house"]] * new + ["tests"]
+
+
 def test_modules_are_compiled_without_the_tests_of_packages(run, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "VENV", tmp_path)
     monkeypatch.setattr(run, "PYTHON", sys.executable)
@@ -182,7 +193,7 @@ def test_each_run_of_the_tests_can_fail(run, monkeypatch, codes, expected):
     left = iter(codes)
     monkeypatch.setattr(run, "passes", lambda *_: True)
     monkeypatch.setattr(run, "run_tests", lambda *_, **__: next(left))
-    assert run.test("test") == expected
+    assert run.test("test", new=False) == expected
 
 
 def test_the_checks_run_beside_the_tests_and_end_before_what_is_alone(run, monkeypatch):
@@ -200,7 +211,7 @@ def test_the_checks_run_beside_the_tests_and_end_before_what_is_alone(run, monke
 
     monkeypatch.setattr(run, "passes", passes)
     monkeypatch.setattr(run, "run_tests", run_tests)
-    assert run.test("test") == 0
+    assert run.test("test", new=False) == 0
     assert order[-1] == run.ALONE
     assert {*order} == {*run.CHECKS, run.QUICK, run.WAITING, run.ALONE}
 
@@ -208,7 +219,7 @@ def test_the_checks_run_beside_the_tests_and_end_before_what_is_alone(run, monke
 def test_a_check_that_finds_something_fails_the_run(run, monkeypatch, capsys):
     monkeypatch.setattr(run, "passes", lambda name, _: name != "ruff check")
     monkeypatch.setattr(run, "run_tests", lambda *_, **__: 0)
-    assert run.test("test") == 1
+    assert run.test("test", new=False) == 1
     assert capsys.readouterr().err.strip().endswith("FAILED: ruff check")
 
 
