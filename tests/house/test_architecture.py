@@ -28,7 +28,7 @@ EXCEPTIONS = (READS_A_FILE, LAZY_IMPORTS, EFFECTS_OF_OTHERS)
 PORT = {"autotuner.ports", "autotuner.errors", "autotuner.core.recording"}
 """What a driver, ours or another's, may know of the tuner."""
 
-
+FOR_TYPES = ast.dump(ast.parse("TYPE_CHECKING", mode="eval").body)
 SPEAKING = {"breakpoint", "exec", "eval", "input", "open", "print"}
 
 
@@ -116,7 +116,7 @@ def _imported(tree):
 
 def _imported_for_types_only(tree):
     """Imports under `if TYPE_CHECKING`, which no running program sees."""
-    guards = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    guards = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.dump(node.test) == FOR_TYPES]
     return {name for guard in guards for name in _imported(guard)} - {
         name for node in tree.body if node not in guards for name in _imported(node)
     }
