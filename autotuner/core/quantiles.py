@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import scipy
 
-NORMAL_95 = 1.96
-"""Standard deviations of a normal distribution on each side of its mean within which 95 % lie."""
+NORMAL_95, NORMAL_99 = 1.96, 2.576
+"""Standard deviations of a normal distribution on each side of its mean within which 95 and 99 % lie."""
 CHI2_95 = 3.841
 """Value under which 95 % of a chi-squared distribution of one degree of freedom lie; the square of `NORMAL_95`."""
 

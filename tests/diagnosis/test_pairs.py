@@ -1,26 +1,28 @@
 """Two effects in one record: either one is searched again beside the other. The records are the simulator's."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from autotuner import Recording
+from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
 from autotuner.core.diagnosis.effects.actuator.saturation import saturations
-from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_effects
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_effects, rate_limit
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
-from autotuner.core.diagnosis.search.judge import held_out, is_supported, weigh
+from autotuner.core.diagnosis.search.judge import held_out, is_foreseen, is_supported, weigh
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_limit
 from autotuner.core.diagnosis.search.trace import _exchanged, dropped_back
 from autotuner.core.signals.noise import rms
-from autotuner_sim import Backlash, BiasStep, Drift, LoadStep, PeriodicLoad, Saturation
+from autotuner_sim import Backlash, BiasStep, Drift, LoadStep, PeriodicLoad, RateLimit, Saturation
+from benchmarks.accuracy.diagnosis.independent import Case, record_of
 from tests.diagnosis.simulated import LAG, at_the_truth, moves, of_form, record
 
 SIGMA = 0.05
@@ -123,15 +125,52 @@ def test_a_column_stays_while_more_than_noise_is_left(hidden, kept):
     assert "saturation" in found.names
 
 
-def test_play_is_tried_whatever_its_first_widths_are_worth(monkeypatch):
-    """Beside the drift no seat is left for another effect, and play is the actuator's own all the same."""
+@pytest.mark.parametrize(("hidden", "size"), [(Backlash(1.3), {"width": 1.3}), (RateLimit(0.8), {"rate_per_s": 0.8})])
+def test_what_no_first_size_shows_is_tried_whatever_these_are_worth(monkeypatch, hidden, size):
+    """Beside the drift no seat is left for another effect; play and rate are the actuator's own all the same."""
     monkeypatch.setattr(search, "FURTHER", (0, 1, 1))
-    recording = noisy(actuators=[Backlash(1.3)], offsets=[Drift(0.01)])
+    recording = noisy(actuators=[hidden], offsets=[Drift(0.01)], actuator_scan_s=0.1)
     context = bench_of(dataset_of(recording))
     drift = of_form(loads_of(context.dataset), "drift")
     start = at_the_truth(recording, LAG, (drift, []), dataset=context.dataset)
     alone = fit(start.problem, start.theta, 20)
-    effects = [*friction_effects(context.dataset), *saturations(context.dataset)]
-    (found,) = extend(context, [alone], effects)
-    assert found.names == ("backlash", "drift")
-    assert found.sizes()[0]["width"] == pytest.approx(1.3, rel=0.1)
+    rate = rate_limit(context.dataset)
+    effects = [*friction_effects(context.dataset), rate, *saturations(context.dataset)]
+    found = extend(context, [alone], effects)[0]
+    assert "drift" in found.names
+    assert found.sizes()[0] == pytest.approx(size, rel=0.1)
+
+
+PULSE = np.concatenate((np.zeros(20), np.ones(2), np.zeros(478), np.full(100, 8.0)))
+"""It shows the gain badly in the fitted part, and is followed by a large move after it."""
+
+
+@pytest.mark.parametrize(
+    ("output", "off", "expected"),
+    [(moves(600, 20), 0.0, True), (moves(600, 20), 0.3, False), (PULSE, 0.0, False)],
+    ids=["the right process", "a reading that is off later", "a gain that is hardly known"],
+)
+def test_an_error_elsewhere_is_foreseen_where_the_numbers_make_it(output, off, expected):
+    plain = record(LAG, output)
+    pv = plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600)
+    pv[dataset_of(plain).held_out] += off
+    context = bench_of(dataset_of(Recording(plain.t, plain.output, pv)))
+    start = at_the_truth(plain, LAG, dataset=context.dataset)
+    right = fit(replace(start.problem, rows=context.fine), start.theta, 0)
+    assert is_foreseen(context, right, SIGMA) is expected
+
+
+@pytest.mark.long  # the rule by itself is in the test above
+def test_a_loss_beside_a_load_is_named_though_its_size_is_unsure_elsewhere():
+    """The loss leaves noise on the fitted part, and elsewhere more than the load alone: what its interval makes."""
+    hidden = record_of(Case("nonlinear_loss:radiation + load_step:step", 716, "relay"))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    assert {e.name for e in answer.effects} == {"nonlinear_loss", "load_step"}
+
+
+@pytest.mark.long  # that it is tried is shown above
+def test_a_rate_limit_beside_a_load_is_named():
+    hidden = record_of(Case("rate_limit:equal + load_step:step", 717, "relay"))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    assert {e.name for e in answer.effects} == {"rate_limit", "load_step"}
+    assert answer.error["held_out"].after < 1.3 * hidden.sigma < answer.error["held_out"].before / 20.0

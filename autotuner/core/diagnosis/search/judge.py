@@ -13,7 +13,7 @@ fitted part, the others a second name that only corrects the shape of the first 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, FLOOR, noise_at_rest
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
+from autotuner.core.quantiles import NORMAL_99
 from autotuner.core.signals.noise import inflation, noise_sigma, rms
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ HELPFUL, MUCH_GAIN = 0.8, 60.0
 """The same ratio for the acceptance of a measured disturbance; and the gain from which it need not improve there."""
 WORSE = 1.5
 """The same ratio from which an effect that need not be visible there is rejected."""
+MOST_UNSURE = 4.0
+"""Misfit on the held-out part, over the noise, up to which it may be explained by the errors of the numbers."""
 LEAST_SHOWN = 1e-5
 """Smallest relative decrease of the squares: the end of a search, and rounding, contribute less."""
 LEAST_FALL = 0.06
@@ -86,6 +89,9 @@ class Evidence:
         Relative fall of the mean square on the fitted part.
     quiet : bool
         Whether the part not fitted holds nothing but noise before, and all but that after.
+    foreseen : bool
+        Whether the explanation leaves only noise on the fitted part, and elsewhere as much as the errors of its numbers
+        make.
     """
 
     gain: float
@@ -94,6 +100,7 @@ class Evidence:
     share: float
     fall: float
     quiet: bool = False
+    foreseen: bool = False
 
 
 def noise_of(context: FitContext, candidate: Fitted) -> float:
@@ -112,12 +119,15 @@ def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
     left = context.dataset.floor**2
     noise = min(noise_of(context, after) ** 2, after.mean_square)
     there = max(before.mean_square - noise, SMALLEST_DIVISOR)
+    ratio, z = held_out_gain(context, before, after)
     return Evidence(
         context.criterion(before, inflated) - context.criterion(after, inflated),
-        *held_out_gain(context, before, after),
+        ratio,
+        z,
         (before.mean_square - after.mean_square) / there,
         1.0 - (after.mean_square + left) / (before.mean_square + left),
         _is_quiet(context, before, after, math.sqrt(noise)),
+        ratio >= MUCH_BETTER and inflated == 1.0 and is_foreseen(context, after, math.sqrt(noise)),
     )
 
 
@@ -126,6 +136,23 @@ def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) 
     first, second = (rms(r) for r in held_out(context, before, after))
     least = math.hypot(noise, context.dataset.floor)
     return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
+
+
+def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
+    """Return whether noise is left, and elsewhere what the errors of the numbers make there: not much more than noise.
+
+    These errors add the mean of `j (J'J)^-1 j'` to the variance of a prediction, by that of the noise, `J` and `j` the
+    slopes of the simulated PV with all numbers on both parts (Ljung, System Identification, 1999, section 9.2).
+    """
+    if after.rms >= NOTHING_LEFT * noise or is_beside_free_load(after):
+        return False
+    fitted, elsewhere = (
+        np.hstack(replace(after.problem, rows=rows).tangent(after.theta))
+        for rows in (after.problem.rows, context.held_out)
+    )
+    spread = elsewhere @ np.linalg.pinv(fitted)
+    most = noise * math.sqrt(NOTHING_LEFT**2 + NORMAL_99**2 * float(np.mean(np.sum(spread**2, axis=1))))
+    return context.held_out_error(after) < most < MOST_UNSURE * noise
 
 
 def held_out(context: FitContext, *candidates: Fitted) -> list[FloatArray]:
@@ -179,7 +206,8 @@ def is_supported(evidence: Evidence, *, first: bool, seen_held_out: bool) -> boo
     share = FIRST_SHARE if first else FURTHER_SHARE
     ratio, z = evidence.held_out_ratio, evidence.held_out_z
     confirmed = seen_held_out and _is_confirmed(evidence)
-    unseen = (not seen_held_out and ratio < WORSE) or (evidence.quiet and evidence.gain > MUCH_GAIN)
+    unseen = not seen_held_out and ratio < WORSE
+    unseen |= (evidence.quiet or evidence.foreseen) and evidence.gain > MUCH_GAIN
     return (
         (evidence.gain > GAIN or confirmed)
         and evidence.fall > LEAST_FALL
@@ -219,7 +247,7 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     held_alone = context.held_out_error(alone)
     held_before, held_after = (rms(r) for r in held_out(context, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
-    foretells = held_after < max(VISIBLE * noise, HALVED * held_before)
+    foretells = held_after < max(VISIBLE * noise, HALVED * held_before) or is_foreseen(context, after, noise)
     completes = after.rms < NOTHING_LEFT * noise and foretells and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
     silences = completes and held_after < NOISE_ELSEWHERE * noise < HALVED * held_before
