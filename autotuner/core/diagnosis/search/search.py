@@ -41,7 +41,7 @@ FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
 
 
 Item = TypeVar("Item")
-SEATED = frozenset({"backlash", "rate_limit"})
+SEATED = frozenset({"backlash", "stiction", "rate_limit"})
 """Effects that are always carried on: far from its size, one is worse than none, however well it fits in the end."""
 SAME = 1.02
 """Ratio of the misfits up to which another way of writing a candidate is the same."""
