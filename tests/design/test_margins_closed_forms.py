@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from autotuner.core.design import PidGains, is_stable, margins, ultimate_point
+from autotuner.core.design.nyquist import turned
 from autotuner.core.design.rules.ultimate import phase
 from autotuner.core.model.process import (
     Fopdt,
@@ -177,3 +178,11 @@ def test_a_derivative_filter_bounds_the_noise_gain():
     slow = Fopdt(0.5, 1e4, 1.0)
     assert margins(slow, PidGains(2.0, 1e3, 5.0, N=8.0)).noise_gain == pytest.approx(18.0, rel=0.01)
     assert math.isinf(margins(Fopdt(0.5, 1e4, 0.0), PidGains(2.0, 1e3, 5.0)).noise_gain)
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 10.0), st.floats(-3.1, 3.1)), min_size=2, max_size=40))
+def test_a_path_turns_by_the_sum_of_its_steps(polar):
+    """Each step is a ratio of two points; the sum of the angles of these ratios is what the path turns by."""
+    sizes, turns = np.array(polar).T
+    path = sizes * np.exp(1j * np.cumsum(turns))
+    assert turned(path) == pytest.approx(float(np.sum(turns[1:])), abs=1e-9)
