@@ -129,7 +129,7 @@ def computed_once():
         return _read(file) if file.exists() else _kept(file, tune(*args, **kwargs))
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(plugins, "entry_points", functools.cache(plugins.entry_points))  # they stay
+        patched.setattr(plugins, "entry_points", functools.cache(plugins.entry_points))  # as at the start
         patched.setattr(InPlace, "run", run_once)
         patched.setattr(design_procedure, "tune", tune_once)
         yield

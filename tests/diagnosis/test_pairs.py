@@ -127,7 +127,7 @@ def test_a_column_stays_while_more_than_noise_is_left(hidden, kept):
 
 @pytest.mark.parametrize(("hidden", "size"), [(Backlash(1.3), {"width": 1.3}), (RateLimit(0.8), {"rate_per_s": 0.8})])
 def test_what_no_first_size_shows_is_tried_whatever_these_are_worth(monkeypatch, hidden, size):
-    """Beside the drift no seat is left for another effect; play and rate are the actuator's own all the same."""
+    """The search carries on no effect by its rank, and finds play and rate limit beside the drift all the same."""
     monkeypatch.setattr(search, "FURTHER", (0, 1, 1))
     recording = noisy(actuators=[hidden], offsets=[Drift(0.01)], actuator_scan_s=0.1)
     context = bench_of(dataset_of(recording))

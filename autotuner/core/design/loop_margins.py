@@ -115,7 +115,8 @@ def _peaks(model: ProcessModel, gains: PidGains, w: FloatArray, L: ComplexArray)
 
     size = sizes(controller_response(gains, w), L)
     highest = np.max(size, axis=1)
-    which, at = _highest(size)
+    peaks = [_highest(one) for one in size]
+    which, at = np.repeat(np.arange(len(peaks)), [peak.size for peak in peaks]), np.concatenate(peaks)
     low, high, rows = w[at - 1], w[at + 1], np.arange(at.size)
     for _ in range(PEAK_ROUNDS if at.size else 0):
         fine = np.linspace(low, high, PEAK_POINTS, axis=1)
@@ -127,13 +128,11 @@ def _peaks(model: ProcessModel, gains: PidGains, w: FloatArray, L: ComplexArray)
     return [float(peak) for peak in highest]
 
 
-def _highest(size: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return rows and columns of the three highest inner peaks of each row."""
-    which, at = np.nonzero((size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:]))
-    order = np.lexsort((-size[which, at + 1], which))
-    which, at = which[order], at[order] + 1
-    rank = np.arange(which.size) - np.searchsorted(which, which)
-    return which[rank < PEAKS], at[rank < PEAKS]
+def _highest(size: FloatArray) -> IntArray:
+    """Return where the three highest inner peaks are."""
+    inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])) + 1
+    highest: IntArray = inner[np.argsort(size[inner])[-PEAKS:]]
+    return highest
 
 
 def _unit_circle(loop: Callable[[FloatArray], ComplexArray], w: FloatArray, L: ComplexArray) -> list[float]:

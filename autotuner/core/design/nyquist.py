@@ -14,7 +14,7 @@ outside of the grid, closed forms are used.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -99,9 +99,7 @@ class PathEnds:
 
     def times(self, k: float) -> PathEnds:
         """Return the path of `1 + k L`."""
-        return PathEnds(
-            self.integrators, self.dc_gain, k * self.low_gain, self.unstable_poles, k * self.tail, self.delayed
-        )
+        return replace(self, low_gain=k * self.low_gain, tail=k * self.tail)
 
     @property
     def start(self) -> complex:

@@ -370,8 +370,8 @@ def frequency_response(model: ProcessModel, frequency_rad_s: FloatArray) -> Comp
     """
     s = 1j * np.asarray(frequency_rad_s, dtype=np.float64)
     r = model.rational()
-    numerator = r.b[0] + s * r.b[1] if r.b[1] else r.b[0]
-    response: ComplexArray = numerator / np.polyval(r.poles_polynomial()[::-1], s) * np.exp(-s * model.D)
+    denominator = np.polyval(r.poles_polynomial()[::-1], s)
+    response: ComplexArray = (r.b[0] + s * r.b[1]) / denominator * np.exp(-s * model.D)
     return response
 
 

@@ -207,12 +207,12 @@ def is_supported(evidence: Evidence, *, first: bool, seen_held_out: bool) -> boo
     ratio, z = evidence.held_out_ratio, evidence.held_out_z
     confirmed = seen_held_out and _is_confirmed(evidence)
     unseen = not seen_held_out and ratio < WORSE
-    unseen |= (evidence.quiet or evidence.foreseen) and evidence.gain > MUCH_GAIN
+    excused = (evidence.quiet or evidence.foreseen) and evidence.gain > MUCH_GAIN
     return (
         (evidence.gain > GAIN or confirmed)
         and evidence.fall > LEAST_FALL
         and evidence.share > share
-        and (ratio < MUCH_BETTER or z > SURE or unseen)
+        and (ratio < MUCH_BETTER or z > SURE or unseen or excused)
     )
 
 

@@ -41,7 +41,7 @@ FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
 
 
 Item = TypeVar("Item")
-SEATED = frozenset({"backlash", "stiction", "rate_limit"})
+ALWAYS_TRIED = frozenset({"backlash", "stiction", "rate_limit"})
 """Effects that are always carried on: far from its size, one is worse than none, however well it fits in the end."""
 SAME = 1.02
 """Ratio of the misfits up to which another way of writing a candidate is the same."""
@@ -59,7 +59,7 @@ def sketched(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Eff
     rows = [starts for effect in within(budget, effects) if (starts := screened(context, tangents, effect))]
     ranked = without_rounding(rows, lambda starts: starts[0].score)
     count = (FURTHER if bases[0].problem.effects else FIRST)[0]
-    rows = [*ranked[:count], *(starts for starts in ranked[count:] if starts[0].effect.key in SEATED)]
+    rows = [*ranked[:count], *(starts for starts in ranked[count:] if starts[0].effect.key in ALWAYS_TRIED)]
     return closest_first(
         closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
         for of in within(budget, rows)
