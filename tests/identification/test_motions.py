@@ -15,7 +15,7 @@ from autotuner.core.model.step_responses import (
     PairAndLag,
     UnstableLag,
 )
-from autotuner.core.model.zoh_input import accumulate, accumulate_states, held_input, unit_step
+from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states, held_input, unit_step
 
 # Each motion with x' = A x + B u, y = C x, written down from its differential equation.
 CASES = {
@@ -100,6 +100,17 @@ def test_slopes_are_those_of_the_response(course, name):
         numeric = (ahead[k] - behind[k]) / 2e-6
         scale = np.abs(numeric[away]).max()
         assert np.abs(slope - numeric)[away].max() <= 2e-5 * scale
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_inputs_that_change_together_are_each_answered_as_by_itself(course, name):
+    motion = CASES[name][0]
+    _, held, when = course
+    levels = np.array([held.levels, np.roll(held.levels[::-1], 1), np.zeros_like(held.levels)])
+    together = motion.forced(HeldInput(held.times, levels), when)
+    for k, row in enumerate(levels):
+        for those, single in zip(together, motion.forced(HeldInput(held.times, row), when), strict=True):
+            assert np.array_equal(np.array(those)[:, k], np.array(single))
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name not in {"integrator", "unstable", "stiff"}])

@@ -20,7 +20,8 @@ cosine for a complex pair.
 The unstable lag is run backward from the end of the recording, in which direction it is stable; its state at the end
 is then one more unknown, which takes the place of the initial state.
 
-Times s, `m` s^2. Every method takes times as arrays of any shape and returns columns of that shape.
+Times s, `m` s^2. Every method takes times as arrays of any shape and returns columns of that shape, with inputs that
+change at the same times one column each, shape (K, N).
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class Lag:
         between = held.spans_s
         off = accumulate(np.exp(-between / self.T), -held.steps)
         index, since = held.locate(when)
-        fading = off[index] * np.exp(-since / self.T)
-        response, slope = held.levels[index] + fading, -fading / self.T
+        fading = off[..., index] * np.exp(-since / self.T)
+        response, slope = held.levels[..., index] + fading, -fading / self.T
         return ((response, slope), (slope, -slope / self.T)) if self.zero else ((response,), (slope,))
 
     def free(self, elapsed: FloatArray) -> Columns:
@@ -84,14 +85,14 @@ class Pair:
         """Return the response (and its slope), and their slopes."""
         between = held.spans_s
         p00, p01, p10, p11 = self.transition(between)
-        shifts = np.zeros((between.size, 2))
-        shifts[:, 0] = -held.steps
+        shifts = np.zeros((*held.levels.shape, 2))
+        shifts[..., 0] = -held.steps
         off = accumulate_states(((p00, p01), (p10, p11)), shifts)
         index, since = held.locate(when)
         p00, p01, p10, p11 = self.transition(since)
-        z, slope = off[index, 0], off[index, 1]
+        z, slope = off[..., index, 0], off[..., index, 1]
         z, slope = p00 * z + p01 * slope, p10 * z + p11 * slope
-        response = held.levels[index] + z
+        response = held.levels[..., index] + z
         if not self.zero:
             return (response,), (slope,)
         return (response, slope), (slope, -(z + self.n * slope) / self.m)
@@ -142,12 +143,12 @@ class EqualLags:
         P = np.zeros((self.n, self.n, held.times.size))
         for row, column in itertools.combinations_with_replacement(range(self.n), 2):
             P[column, row] = terms[column - row]
-        off = accumulate_states(P, np.repeat(-held.steps[:, None], self.n, axis=1))
+        off = accumulate_states(P, np.repeat(-held.steps[..., None], self.n, axis=-1))
         index, since = held.locate(when)
         terms = self._terms(since)
-        last = sum(terms[k] * off[index, self.n - 1 - k] for k in range(self.n))
-        before = sum(terms[k] * off[index, self.n - 2 - k] for k in range(self.n - 1))
-        return (held.levels[index] + last,), ((before - last) / self.T,)
+        last = np.sum([terms[k] * off[..., index, self.n - 1 - k] for k in range(self.n)], axis=0)
+        before = np.sum([terms[k] * off[..., index, self.n - 2 - k] for k in range(self.n - 1)], axis=0)
+        return (held.levels[..., index] + last,), ((before - last) / self.T,)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motions of the last lag from an initial deviation of each."""
@@ -182,12 +183,12 @@ class PairAndLag:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response and its slope."""
         P = self._transition(held.spans_s)
-        off = accumulate_states((P[:3], P[3:6], P[6:]), np.outer(held.steps, (-1.0, 0.0, -1.0)))
+        off = accumulate_states((P[:3], P[3:6], P[6:]), np.multiply.outer(held.steps, (-1.0, 0.0, -1.0)))
         index, since = held.locate(when)
         p00, p01, _, _, _, _, q0, q1, q2 = self._transition(since)
-        z, slope, lagged = off[index, 0], off[index, 1], off[index, 2]
+        z, slope, lagged = (off[..., index, k] for k in range(3))
         answer = q0 * z + q1 * slope + q2 * lagged
-        return (held.levels[index] + answer,), ((p00 * z + p01 * slope - answer) / self.T,)
+        return (held.levels[..., index] + answer,), ((p00 * z + p01 * slope - answer) / self.T,)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motions from an initial deviation and slope of the pair, and of the lag."""
@@ -221,15 +222,19 @@ class Integrator:
 
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the integral of the input, and the input."""
-        between = np.diff(held.times)
-        reached = np.concatenate(([0.0], np.cumsum(held.levels[:-1] * between)))
+        reached = _reached(held.levels[..., :-1] * held.spans_s[1:])
         index, since = held.locate(when)
-        level = held.levels[index]
-        return (reached[index] + level * since,), (level,)
+        level = held.levels[..., index]
+        return (reached[..., index] + level * since,), (level,)
 
     def free(self, elapsed: FloatArray) -> Columns:  # noqa: ARG002 - the protocol's signature
         """Return nothing: its state is the offset."""
         return ()
+
+
+def _reached(covered: FloatArray) -> FloatArray:
+    """Return what an integrator has reached at each change: 0, then the sums of what it covered between them."""
+    return np.concatenate((np.zeros((*covered.shape[:-1], 1)), np.cumsum(covered, axis=-1)), axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,15 +247,13 @@ class LaggedIntegrator:
         """Return the response and its slope."""
         between = held.spans_s
         off = accumulate(np.exp(-between / self.T), -held.steps)
-        covered = held.levels * np.append(between[1:], 0.0) - self.T * off * np.expm1(
-            -np.append(between[1:], 0.0) / self.T
-        )
-        reached = np.concatenate(([0.0], np.cumsum(covered[:-1])))
+        ahead = between[1:]
+        reached = _reached(held.levels[..., :-1] * ahead - self.T * off[..., :-1] * np.expm1(-ahead / self.T))
         index, since = held.locate(when)
-        slope_off = off[index]
+        slope_off = off[..., index]
         fading = np.expm1(-since / self.T)
-        level = held.levels[index]
-        response = reached[index] + level * since - self.T * slope_off * fading
+        level = held.levels[..., index]
+        response = reached[..., index] + level * since - self.T * slope_off * fading
         return (response,), (level + slope_off * (fading + 1.0),)
 
     def free(self, elapsed: FloatArray) -> Columns:
@@ -268,11 +271,12 @@ class UnstableLag:
     def forced(self, held: HeldInput, when: FloatArray) -> tuple[Columns, Columns]:
         """Return the response that ends in equilibrium with the last input, and its slope."""
         after = np.append(held.times[1:], np.inf)
-        back = accumulate(np.exp(-(after - held.times)[::-1] / self.T), -held.steps[::-1])[::-1]
+        back = accumulate(np.exp(-(after - held.times)[::-1] / self.T), -held.steps[..., ::-1])[..., ::-1]
         index = np.searchsorted(held.times, when, side="right")
         ahead = np.append(held.times, np.inf)[index] - when
-        off = np.append(back, 0.0)[index] * np.exp(-ahead / self.T)
-        return (off - np.concatenate(([0.0], held.levels))[index],), (off / self.T,)
+        none = np.zeros((*back.shape[:-1], 1))
+        off = np.concatenate((back, none), axis=-1)[..., index] * np.exp(-ahead / self.T)
+        return (off - np.concatenate((none, held.levels), axis=-1)[..., index],), (off / self.T,)
 
     def free(self, elapsed: FloatArray) -> Columns:
         """Return the motion that ends in a state away from equilibrium."""

@@ -5,8 +5,8 @@
 All levels are deviations from the first output, which is assumed to have been held for ever. A relay record of
 thousands of samples has ten changes, and the cost of a response grows with the changes, not with the samples.
 
-`x_k = p_k x_{k-1} + g_k` is a lower triangular band system with ones on the diagonal, which BLAS solves in one sweep
-(`tbsv`), exactly and in `O(C)`.
+`x_k = p_k x_{k-1} + g_k` is a lower triangular band system with ones on the diagonal, which LAPACK solves in one sweep
+(`tbtrs`), exactly and in `O(C)`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldInput:
-    """An output that is constant between its changes.
+    """An output that is constant between its changes, or several that change at the same times.
 
     Attributes
     ----------
     times : array of float, shape (C,)
         Start, then the moments of change, s.
-    levels : array of float, shape (C,)
-        Output from each of them on, as deviation from the first; `levels[0]` is 0.
+    levels : array of float, shape (C,) or (K, C)
+        Output from each of them on, as deviation from the first; `levels[..., 0]` is 0.
     slack_s : array of float, shape (C,), or None
         How long before its time each change may have happened, s; None when the times are exact.
     """
@@ -53,7 +53,7 @@ class HeldInput:
 
     def at(self, when: FloatArray) -> FloatArray:
         """Return the output at each time of `when`, as deviation from the first; before the start 0."""
-        level: FloatArray = self.levels[self.locate(when)[0]]
+        level: FloatArray = self.levels[..., self.locate(when)[0]]
         return level
 
     def shifted(self, by_s: FloatArray) -> HeldInput:
@@ -69,8 +69,8 @@ class HeldInput:
 def _less_before(values: FloatArray, first: float) -> FloatArray:
     """Return `np.diff(values, prepend=first)`, which takes ten times as long for so few values."""
     result = values.copy()
-    result[1:] -= values[:-1]
-    result[0] -= first
+    result[..., 1:] -= values[..., :-1]
+    result[..., 0] -= first
     return result
 
 
@@ -108,12 +108,11 @@ def unit_step(start_s: float) -> HeldInput:
 
 
 def accumulate(p: FloatArray, g: FloatArray) -> FloatArray:
-    """Return `x_k = p_k x_{k-1} + g_k`, `x_{-1} = 0`; `p[0]` does not count."""
-    band = np.empty((2, g.size), order="F")
+    """Return `x_k = p_k x_{k-1} + g_k`, `x_{-1} = 0`, along the last axis of `g`; `p[0]` does not count."""
+    band = np.empty((2, p.size), order="F")
     band[0] = 1.0
     band[1, :-1] = -p[1:]
-    result: FloatArray = scipy.linalg.blas.dtbsv(1, band, g, lower=1, diag=1)
-    return result
+    return _swept(band, g, p.size)
 
 
 def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatArray) -> FloatArray:
@@ -123,18 +122,23 @@ def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatAr
     ----------
     P : rows of S arrays of float, shape (C,)
         Transitions: each entry of the matrix at all steps.
-    g : array of float, shape (C, S)
+    g : array of float, shape (..., C, S)
         What is added at each step.
 
     Returns
     -------
-    array of float, shape (C, S)
+    array of float, shape (..., C, S)
     """
-    steps, size = g.shape
+    steps, size = g.shape[-2:]
     band = np.zeros((2 * size, steps * size), order="F")
     band[0] = 1.0
     for row in range(size):
         for column in range(size):
             band[size + row - column, column : (steps - 1) * size : size] = -P[row][column][1:]
-    x: FloatArray = scipy.linalg.blas.dtbsv(2 * size - 1, band, g.reshape(-1), lower=1, diag=1)
-    return x.reshape(steps, size)
+    return _swept(band, g, steps * size)
+
+
+def _swept(band: FloatArray, g: FloatArray, length: int) -> FloatArray:
+    """Return the solutions of a lower triangular band system for each `length` of right sides, in their shape."""
+    x: FloatArray = scipy.linalg.lapack.dtbtrs(band, g.reshape(-1, length).T, uplo="L", diag="U")[0]
+    return x.T.reshape(g.shape)

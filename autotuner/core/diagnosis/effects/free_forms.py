@@ -58,9 +58,10 @@ def _free_load(dataset: Dataset, count: int) -> Effect:
     until = dataset.fitted_until_s
     times = np.linspace(0.0, until, PIECES, endpoint=False)
     curves = _splines(times / until, count)
+    loads = HeldInput(times, curves - curves[:, :1])
 
     def columns(view: View, _p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(HeldInput(times, curve - curve[0]), delayed=False) for curve in curves]
+        return list(view.forced(loads, delayed=False))
 
     def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
         return {"range": float(np.ptp(np.array(c) @ curves)) / abs(g)}
@@ -85,8 +86,8 @@ def free_load_after(view: View) -> FloatArray:
     dataset = view.dataset
     times = np.linspace(dataset.fitted_until_s, dataset.span_s, PIECES // 2, endpoint=False)
     curves = _splines((times - times[0]) / (dataset.span_s - times[0]), SPLINES_AFTER)
-    loads = (HeldInput(np.append(0.0, times), np.append(0.0, curve)) for curve in curves)
-    return np.column_stack([view.forced(load, delayed=False) for load in loads])
+    loads = HeldInput(np.append(0.0, times), np.column_stack((np.zeros(curves.shape[0]), curves)))
+    return view.forced(loads, delayed=False).T
 
 
 def _splines(x: FloatArray, count: int) -> FloatArray:

@@ -91,9 +91,8 @@ def slow_part(residual: FloatArray, slopes: FloatArray) -> SlowPart:
 def remembered(values: FloatArray, a: float) -> FloatArray:
     """Return `R x` of columns `x`, with `R_ij = a^|i-j|`."""
     kept = np.full(len(values), a)
-    forward = np.column_stack([accumulate(kept, x) for x in values.T])
-    backward = np.column_stack([accumulate(kept, x) for x in values[::-1].T])[::-1]
-    result: FloatArray = forward + backward - values
+    forward, backward = accumulate(kept, values.T), accumulate(kept, values[::-1].T)[:, ::-1]
+    result: FloatArray = (forward + backward).T - values
     return result
 
 

@@ -79,11 +79,8 @@ def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tu
     problem = base.problem
     view = problem.view(base.theta, rows)
     held = problem.dataset.data.held
-    columns = []
-    for level in range(count):
-        on = (index == level).astype(float)
-        columns.append(float(base.linear[0]) * view.forced(HeldInput(held.times, on - on[0])))
-    J = np.column_stack(columns)
+    on = (index == np.arange(count)[:, None]).astype(float)
+    J = float(base.linear[0]) * view.forced(HeldInput(held.times, on - on[:, :1])).T
     q, _ = solve_linear(np.hstack(replace(problem, rows=rows).tangent(base.theta)), problem.dataset.data.pv[rows])
     J = J - q @ (q.T @ J)
     left = problem.dataset.data.pv[rows] - q @ (q.T @ problem.dataset.data.pv[rows])

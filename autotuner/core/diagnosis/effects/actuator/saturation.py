@@ -46,9 +46,9 @@ def _of(sides: Sequence[str], most: float) -> tuple[Searched, ...]:
 
 
 def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> HeldInput:
-    """Return an input whose levels pass a static curve."""
+    """Return an input whose levels pass a static curve, or several of them."""
     levels = curve(held.levels)
-    return HeldInput(held.times, levels - levels[0])
+    return HeldInput(held.times, levels - levels[..., :1])
 
 
 def _ends(dataset: Dataset, low: float, high: float) -> tuple[float, float]:

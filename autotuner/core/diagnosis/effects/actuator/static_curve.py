@@ -120,7 +120,8 @@ class _columns:  # noqa: N801 - a function with the splines in it
 
     def __call__(self, view: View, _p: Sequence[float]) -> list[FloatArray]:
         inside = np.clip(view.position.levels, *self.knots[[0, -1]])
-        return [view.forced(HeldInput(view.position.times, x - x[0])) for x in self.splines(inside).T]
+        positions = self.splines(inside).T
+        return list(view.forced(HeldInput(view.position.times, positions - positions[:, :1])))
 
 
 def _positions(knots: FloatArray, basis: FloatArray, c: Sequence[float], gain: float) -> FloatArray:

@@ -156,10 +156,8 @@ def _curves(dataset: Dataset) -> tuple[Effect, ...]:
     swing = dataset.swing
 
     def columns(powers: Sequence[int]) -> Columns:
-        return lambda view, _p: [
-            view.forced(map_levels(view.position, lambda u, n=n: swing * (u / swing) ** n))  # type: ignore[misc]
-            for n in powers
-        ]
+        rows = np.array(powers)[:, None]
+        return lambda view, _p: list(view.forced(map_levels(view.position, lambda u: swing * (u / swing) ** rows)))
 
     def curve(form: str, powers: Sequence[int]) -> Effect:
         return Effect(

@@ -42,16 +42,16 @@ def gains_in_time(dataset: Dataset) -> tuple[Effect, ...]:
 
 
 def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:
-    """Return an input multiplied by a curve of time, in small steps about their middle, and at some further times."""
+    """Return an input times curves of time, in small steps about their middle, and at some further times."""
     piece = (span_s - held.times[0]) / PIECES
     end = max(span_s, float(held.times[-1]) + piece)
     edges = np.union1d(held.times, np.append(np.arange(held.times[0], end, piece), also))
     levels = held.at(edges) * curve((edges + np.append(edges[1:], end)) / 2.0)
-    return HeldInput(edges, levels - levels[0])
+    return HeldInput(edges, levels - levels[..., :1])
 
 
 def _changed(view: View, curve: Curve, also: Sequence[float] = ()) -> FloatArray:
-    """Return the response to the input, as it arrives, times a curve of time."""
+    """Return the response to the input, as it arrives, times a curve of time, or several."""
     arriving = view.position.shifted(np.array(view.delay_s))
     return view.forced(times_curve(arriving, view.dataset.span_s, curve, also), delayed=False)
 
@@ -94,8 +94,8 @@ def _settling(dataset: Dataset) -> Effect:
 def _free(dataset: Dataset) -> Effect:
     at = np.linspace(0.0, dataset.fitted_until_s, KNOTS)
 
-    def hat(j: int) -> Curve:
-        return lambda t: np.interp(t, at, np.eye(KNOTS)[j])
+    def hats(t: FloatArray) -> FloatArray:
+        return np.array([np.interp(t, at, hat) for hat in np.eye(KNOTS)[1:]])
 
     return Effect(
         "gain_drift",
@@ -104,7 +104,7 @@ def _free(dataset: Dataset) -> Effect:
         [()],
         lambda _p, c, g: {"relative_change": c[-1] / g, "largest_relative_change": max(c, key=abs) / g},
         form=f"free, {KNOTS} knots",
-        columns=lambda view, _p: [_changed(view, hat(j)) for j in range(1, KNOTS)],
+        columns=lambda view, _p: list(_changed(view, hats)),
         price=2.0,
         group="gain in time",
         means=lambda _p, c, g, _shape: all(1.0 + x / g > 0.0 for x in c),
