@@ -243,19 +243,21 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     With two effects, a third one follows what their forms leave: it has to leave only noise, or halve both errors.
     """
     weight = _part_of_fall(alone.mean_square, before.mean_square, after.mean_square)
-    noise = noise_of(context, after)
+    noise = min(noise_of(context, after), math.hypot(after.rms, context.dataset.floor))
     held_alone = context.held_out_error(alone)
     held_before, held_after = (rms(r) for r in held_out(context, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
     foretells = held_after < max(VISIBLE * noise, HALVED * held_before) or is_foreseen(context, after, noise)
-    completes = after.rms < NOTHING_LEFT * noise and foretells and there
+    silent = after.rms < NOTHING_LEFT * noise and foretells
+    completes = silent and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
     silences = completes and held_after < NOISE_ELSEWHERE * noise < HALVED * held_before
     foretold = _part_of_fall(held_alone**2, held_before**2, held_after**2)
     third = sum(not effect.measured for effect in after.problem.effects) > SEVERAL
     heavy = weight > LEAST_WEIGHT and not third
     shown = weight > FAINT or foretold > FORETOLD
-    return heavy or silences or (shown and (completes or confirmed)) or (completes and _acts_otherwise(before, after))
+    mends = silent and before.rms > NOISE_ELSEWHERE * noise
+    return heavy or silences or (shown and (completes or confirmed)) or (mends and _acts_otherwise(before, after))
 
 
 def _acts_otherwise(before: Fitted, after: Fitted) -> bool:

@@ -3,6 +3,8 @@
 pair of lags -> one lag      form of friction with two numbers -> plain play
 kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
+load that ramps as long as the record shows -> straight drift
+curve of an actuator that stands at a few levels -> steps
 form of an effect whose further numbers say nothing -> its plain form
 
 Two are made richer: stores that overflow -> stores of any shape, whose search needs these to begin from; and a pair of
@@ -46,6 +48,8 @@ FLAT = 0.05
 """Ratio of two gains of an actuator under which the smaller one is zero."""
 MUCH_LARGER = 1.4
 """Ratio of the errors on the part not fitted from which the plainer explanation fails there: twice the squares."""
+RAMP = "load_step:ramp"
+"""The effect that a straight drift may replace."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -121,6 +125,30 @@ def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effec
     plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
     # Elsewhere a drift is as likely as a load, and few samples are independent.
     return _plainer(context, chosen, closest_first(plain)[0], STRONG if context.dataset.tuned else 0.0)
+
+
+def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with a straight drift in place of a load whose ramp begins and ends where none shows."""
+    ramp = next((e for e in chosen.problem.effects if e.key == RAMP), None)
+    drift = next((e for e in effects if e.name == "drift" and not e.form), None)
+    if ramp is None or drift is None or any(e.group == drift.group for e in chosen.problem.effects if e is not ramp):
+        return chosen
+    return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
+
+
+def with_steps(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> tuple[Fitted, list[Fitted]]:
+    """Return the explanation with steps of the actuator in place of a curve, and what was tried.
+
+    Where the output stands at a few levels, both do the same to it.
+    """
+    curve = next((e for e in chosen.problem.effects if e.name == "static_nonlinearity"), None)
+    if curve is None or context.dataset.tuned:
+        return chosen, []
+    starts = [(e, start) for e in effects if e.name == "output_quantisation" and e.searched for start in e.starts]
+    tried = [_exchanged(chosen, curve, e, start) for e, start in starts]
+    if not tried:
+        return chosen, []
+    return _plainer(context, chosen, closest_first(tried)[0]), [c for c in tried if is_physical(c)]
 
 
 def with_own_shapes(context: FitContext, chosen: Fitted) -> Fitted:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +34,7 @@ from autotuner.core.diagnosis.search.judge import (
     NOISE_ELSEWHERE,
     NOTHING_LEFT,
     VISIBLE,
+    is_beside_free_load,
     is_helpful,
     is_supported,
     noise_of,
@@ -56,10 +58,12 @@ from autotuner.core.diagnosis.search.simplify import (
     simplest,
     with_best_moment,
     with_own_shapes,
+    with_plain_drift,
     with_plain_forms,
     with_plain_limit,
     with_plain_play,
     with_plain_step,
+    with_steps,
 )
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
@@ -86,6 +90,10 @@ SECOND_LAG = 0.3
 """Initial guess of the second lag, relative to the first."""
 EXCHANGED = 3
 """Pairs whose effects are searched again, each beside the other."""
+GOES_ON = frozenset({"drift", "load_step"})
+"""Names of a load of free shape that goes one way: its textbook forms say how it goes on."""
+RESHAPED = 3
+"""Pairs whose effects are tried in other forms."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 BEAM = 3
@@ -145,6 +153,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         if not found:
             break
         found = closest_first([*found, *_exchanged(context, found, effects)])
+        found = closest_first([*found, *_in_other_forms(context, found, effects)])
         pool += found
         context.dataset.budget.report(_how_far(context, found[0]))
         following, accepted = _following(context, base, best, found)
@@ -167,7 +176,9 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
-    chosen = with_plain_forms(context, chosen, effects)
+    chosen = with_plain_forms(context, with_plain_drift(context, chosen, effects), effects)
+    chosen, stepped = with_steps(context, chosen, effects)
+    pool += stepped
     # Moves that are late by times of their own: where no further move separates the two, both are reported.
     pool += with_own_times(context, base, PAIR) if FLOW in chosen.names and not late else []
     closest = closest_first([*pool, base.best])[0]
@@ -225,7 +236,7 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
     """
     if context.dataset.tuned or any(is_noise(context, c) for c in found):
         return []
-    pairs = [c for c in _distinct(found) if len(c.names) == PAIR][:EXCHANGED]
+    pairs = [at_the_input(context, c) for c in _distinct(found) if len(c.names) == PAIR][:EXCHANGED]
     kept = [
         (c, e)
         for c in pairs
@@ -233,6 +244,23 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
         if e.reads_as is None and not any(other.measured for other in c.problem.effects if other is not e)
     ]
     return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
+
+
+def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the closest pairs with either effect in the other forms of its name.
+
+    A form whose size is far from each start looks no better than none beside another effect, and is passed over.
+    """
+    if context.dataset.tuned or any(is_noise(context, c) for c in found):
+        return []
+    pairs = [c for c in _distinct(found) if len(c.names) == PAIR and not is_beside_free_load(c)][:RESHAPED]
+    exchanges = [
+        (alone_beside(context, c, kept), forms)
+        for c in pairs
+        for kept, exchanged in permutations(c.problem.effects)
+        if (forms := [e for e in effects if e.name == exchanged.name and e.form != exchanged.form])
+    ]
+    return [c for beside, forms in exchanges for c in extend(context, [beside], forms)]
 
 
 def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
@@ -401,8 +429,25 @@ def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: 
     if context.dataset.budget.spent:
         return True
     if accepted:
-        return best.rms < NOTHING_LEFT * noise_of(context, best)
+        return best.rms < NOTHING_LEFT * noise_of(context, best) and not _foretells_nothing(context, best)
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(context, following)
+
+
+def _foretells_nothing(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether a load of free shape alone stands for one that goes one way, and fails after the fitted part.
+
+    It follows whatever else the fitted part has, such as a relay's equal periods.
+    """
+    free = len(candidate.problem.effects) == 1 and candidate.problem.effects[0].reads_as is not None
+    fails = context.held_out_error(candidate) > VISIBLE * noise_of(context, candidate)
+    return free and fails and not context.dataset.tuned and candidate.reported_names()[0] in GOES_ON
+
+
+def _foretells_instead(context: FitContext, before: Fitted, after: Fitted) -> bool:
+    """Return whether an explanation leaves noise on both parts where a load of free shape fails on the other one."""
+    kept = set(before.names) & set(after.names)
+    closer = context.criterion(after, 1.0) < context.criterion(before, 1.0)
+    return not kept and closer and _foretells_nothing(context, before) and is_noise(context, after)
 
 
 def _is_late(context: FitContext, base: Base, steps: Sequence[Fitted]) -> bool:
@@ -424,6 +469,8 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
         return is_supported(against, first=True, seen_held_out=seen) and context.criterion(
             after, inflated
         ) < context.criterion(before, inflated)
+    if _foretells_instead(context, before, after):
+        return True
     if not is_supported(weigh(context, before, after), first=first, seen_held_out=seen):
         return False
     instead = not context.dataset.tuned and not set(before.names) <= set(after.names)  # no mend of the first one's form
