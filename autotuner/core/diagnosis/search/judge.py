@@ -256,8 +256,8 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     third = sum(not effect.measured for effect in after.problem.effects) > SEVERAL
     heavy = weight > LEAST_WEIGHT and not third
     shown = weight > FAINT or foretold > FORETOLD
-    mends = silent and before.rms > NOISE_ELSEWHERE * noise
-    return heavy or silences or (shown and (completes or confirmed)) or (mends and _acts_otherwise(before, after))
+    visible = silent and before.rms > NOISE_ELSEWHERE * noise
+    return heavy or silences or (shown and (completes or confirmed)) or (visible and _acts_otherwise(before, after))
 
 
 def _acts_otherwise(before: Fitted, after: Fitted) -> bool:
