@@ -53,8 +53,8 @@ SIGNALS = sorted(
 """Not SIGINT: where it was ignored, as in the background of a script, asyncio leaves Python's own handler."""
 THEIRS = ("PYTEST_CURRENT_TEST", "KMP_")
 """How variables of the environment begin that pytest sets, or scikit-learn when it is first imported."""
-FROZEN = [gc.get_freeze_count()]
-"""Objects that were put aside: by the interpreter itself (Python 3.12 does at its start), then after the collection."""
+FROZEN = [False]
+"""Whether a test has put objects aside from the collector: to count them takes ten milliseconds."""
 OPEN_FILES = "/proc/self/fd"
 GRACE_S = 2.0
 """Longest wait for a thread or a worker process that is already on its way out, s."""
@@ -85,7 +85,18 @@ def pytest_collection_finish():
     """Let the collector work again, on what the tests make: it would look at all that was collected each time."""
     gc.freeze()
     gc.enable()
-    FROZEN.append(gc.get_freeze_count())
+    gc.freeze, gc.unfreeze = _noting(gc.freeze, frozen=True), _noting(gc.unfreeze, frozen=False)
+
+
+def _noting(function, *, frozen):
+    """Return a function of the collector that notes whether it leaves objects aside."""
+
+    @functools.wraps(function)
+    def noted():
+        function()
+        FROZEN[0] = frozen
+
+    return noted
 
 
 def pytest_configure(config):
@@ -246,7 +257,7 @@ def _state():
         "level of the log": root.level,
         "handlers of the log": [handler for handler in root.handlers if not _of_pytest(handler)],
         "folder": _folder(),
-        "collector": (gc.isenabled(), gc.get_threshold(), gc.get_freeze_count() > FROZEN[-1]),
+        "collector": (gc.isenabled(), gc.get_threshold(), FROZEN[0]),
         "switch interval": sys.getswitchinterval(),
         "module search path": tuple(sys.path),
         "umask": _umask(),
