@@ -146,14 +146,12 @@ def test_steps_are_tried_in_place_of_a_curve(output, actuator, alike):
     plain = record(LAG, output, actuators=[actuator])
     recording = Recording(plain.t, plain.output, plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600))
     context = bench_of(dataset_of(recording))
-    swing = context.dataset.swing
-    effects = actuator_effects(context.dataset, [], {"from zero": [(3.0 / swing, -1.0 / 3.0)]})
+    effects = actuator_effects(context.dataset, [], {})
     start = at_the_truth(recording, LAG, (of_form(effects, "static_nonlinearity:cubic"), []), dataset=context.dataset)
     curve = fit(replace(start.problem, rows=context.fine), start.theta, 10)
-    _, (steps,) = with_steps(context, curve, effects)
-    assert steps.names == ("output_quantisation",)
+    _, tried = with_steps(context, curve)
     assert curve.rms < 1.05 * SIGMA
-    assert (steps.rms < 1.05 * SIGMA) is alike
+    assert any(steps.rms < 1.05 * SIGMA for steps in tried) is alike
 
 
 def test_a_ramp_for_as_long_as_the_fitted_part_is_a_drift():

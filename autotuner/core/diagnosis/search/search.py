@@ -142,9 +142,9 @@ def without(context: FitContext, candidate: Fitted, dropped: Effect) -> Fitted:
     return _of(candidate, [e for e in candidate.problem.effects if e is not dropped], context.fine, FINE_STEPS)
 
 
-def alone_beside(context: FitContext, candidate: Fitted, kept: Effect) -> Fitted:
-    """Return the process of a candidate as it is with one of its effects: a start for others beside that."""
-    return _of(candidate, [kept], context.coarse, 0)
+def alone_beside(context: FitContext, candidate: Fitted, *kept: Effect) -> Fitted:
+    """Return the process of a candidate as it is with some of its effects: a start for others beside those."""
+    return _of(candidate, kept, context.coarse, 0)
 
 
 def _of(candidate: Fitted, effects: Sequence[Effect], rows: IntArray, steps: int) -> Fitted:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.extended.base import is_physical
@@ -26,7 +27,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import FINE_STEPS
+from autotuner.core.diagnosis.search.search import FINE_STEPS, alone_beside
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ MUCH_LARGER = 1.4
 """Ratio of the errors on the part not fitted from which the plainer explanation fails there: twice the squares."""
 RAMP = "load_step:ramp"
 """The effect that a straight drift may replace."""
+CURVES = frozenset({"static_nonlinearity", "direction_gain", "saturation"})
+"""Effects that give each level of the output another one, as steps do."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
 
@@ -136,16 +139,17 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
 
 
-def with_steps(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> tuple[Fitted, list[Fitted]]:
+def with_steps(context: FitContext, chosen: Fitted) -> tuple[Fitted, list[Fitted]]:
     """Return the explanation with steps of the actuator in place of a curve, and what was tried.
 
     Where the output stands at a few levels, both do the same to it.
     """
-    curve = next((e for e in chosen.problem.effects if e.name == "static_nonlinearity"), None)
-    if curve is None or context.dataset.tuned:
+    curve = next((e for e in chosen.problem.effects if e.name in CURVES), None)
+    if curve is None or context.dataset.tuned or context.dataset.budget.spent:
         return chosen, []
-    starts = [(e, start) for e in effects if e.name == "output_quantisation" and e.searched for start in e.starts]
-    tried = [_exchanged(chosen, curve, e, start) for e, start in starts]
+    straight = alone_beside(context, chosen, *(e for e in chosen.problem.effects if e is not curve))
+    steps = [e for e in catalogue(straight, context.coarse, None) if e.name == "output_quantisation" and e.searched]
+    tried = [_exchanged(chosen, curve, e, start) for e in steps for start in e.starts]
     if not tried:
         return chosen, []
     return _plainer(context, chosen, closest_first(tried)[0]), [c for c in tried if is_physical(c)]

@@ -177,7 +177,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
     chosen = with_plain_forms(context, with_plain_drift(context, chosen, effects), effects)
-    chosen, stepped = with_steps(context, chosen, effects)
+    chosen, stepped = with_steps(context, chosen)
     pool += stepped
     # Moves that are late by times of their own: where no further move separates the two, both are reported.
     pool += with_own_times(context, base, PAIR) if FLOW in chosen.names and not late else []
