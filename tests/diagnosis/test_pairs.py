@@ -17,6 +17,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
+from autotuner.core.diagnosis.search.dynamics_search import with_wave_from_anew
 from autotuner.core.diagnosis.search.judge import held_out, is_foreseen, is_supported, weigh, weighs_enough
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_drift, with_plain_limit, with_steps
@@ -44,7 +45,7 @@ from autotuner_sim import (
     UnequalLag,
 )
 from benchmarks.accuracy.diagnosis.independent import Case, record_of
-from tests.diagnosis.simulated import LAG, at_the_truth, moves, of_form, record
+from tests.diagnosis.simulated import LAG, PAIR, RINGING, at_the_truth, moves, of_form, record
 
 SIGMA = 0.05
 
@@ -252,6 +253,18 @@ def test_a_kink_beside_a_drift_weighs_enough_from_a_quarter_more_than_noise(rati
     assert weighs_enough(context, alone, before, after) is weighs
 
 
+def test_a_large_wave_is_searched_with_a_process_that_does_not_ring_in_its_place():
+    plain = record(PAIR, moves(600, 20), offsets=[PeriodicOffset(6.0, 41.0)])
+    recording = Recording(plain.t, plain.output, plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600))
+    context = bench_of(dataset_of(recording))
+    ringing = at_the_truth(recording, RINGING, dataset=context.dataset)
+    base = SimpleNamespace(origins=[fit(replace(ringing.problem, rows=context.fine), ringing.theta, 0)])
+    (found,) = with_wave_from_anew(context, base, loads_of(context.dataset))
+    assert found.names == ("periodic_disturbance",)
+    assert found.rms < 1.1 * SIGMA
+    assert found.sizes() == [pytest.approx({"period_s": 41.0, "amplitude": 6.0}, rel=0.01)]
+
+
 PULSE = np.concatenate((np.zeros(20), np.ones(2), np.zeros(478), np.full(100, 8.0)))
 """It shows the gain badly in the fitted part, and is followed by a large move after it."""
 
@@ -278,6 +291,7 @@ def test_an_error_elsewhere_is_foreseen_where_the_numbers_make_it(output, off, e
         ("slow_mode:one mode + load_step:step", 721, "steps", {"slow_mode", "load_step"}),
         ("direction_dynamics:two lags + load_step:step", 722, "relay", {"direction_dynamics", "load_step"}),
         ("backlash:play + nonlinear_loss:outflow", 722, "steps", {"backlash", "nonlinear_loss"}),
+        ("saturation:hard + periodic_disturbance:sine", 724, "relay", {"saturation", "periodic_disturbance"}),
         ("static_nonlinearity:power + load_step:step", 721, "steps", {"static_nonlinearity", "load_step"}),
     ],
 )

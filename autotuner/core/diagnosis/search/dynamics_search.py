@@ -8,14 +8,20 @@ come closest without any, and from there a variation of it changes nothing, so t
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from autotuner.core.diagnosis.effects.waves import spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, extend, refined, within
+from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -25,11 +31,18 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.record.dataset import Dataset
 
 KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
 ADDED = (0.3, 0.7)
 """Dead times to begin with where the process alone has none, in hundredths of the record (`Extended.unit_s`)."""
+WAVE = 0.2
+"""Least share of the PV's variance about a straight line that one of its two strongest waves has, to be searched."""
+LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
+"""Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
+SECOND_LAG = 0.1
+"""The second lag to begin with, in first ones."""
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
@@ -42,6 +55,36 @@ def with_less_dead_time(context: FitContext, origins: Sequence[Fitted], effects:
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
     found = [_from_less(context, pair, effect) for effect in within(context.dataset.budget, late)]
     return [f for f in found if is_physical(f) and f.rms < pair.rms]
+
+
+def with_wave_from_anew(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return a wave with a pair of lags that is searched beside it, fitted on all samples, where closer.
+
+    Alone, the process rings in place of a large wave, or waits for half of its period, and does not come back from it.
+    """
+    wave = next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
+    pair = next((o for o in base.origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
+    dataset = context.dataset
+    if wave is None or pair is None or dataset.tuned or pair.problem.effects:
+        return []
+    problem = replace(pair.problem.with_effect(wave), rows=context.coarse)
+    lines = [f for f in spectral_lines(dataset, dataset.data.pv)[:2] if _share_of_wave(dataset, f) > WAVE]
+    starts = (
+        np.array([math.log(lag * dataset.span_s), math.log(SECOND_LAG * lag * dataset.span_s), delay, math.log(line)])
+        for line, lag, delay in product(lines, LAGS, DELAYS)
+    )
+    found = [fit(problem, start, COARSE_STEPS, ENOUGH_FOR_RANKS) for start in within(dataset.budget, starts)]
+    best = [refined(context, c) for c in closest_first(found)[:1]]
+    return [c for c in best if is_physical(c) and c.rms < pair.rms]
+
+
+def _share_of_wave(dataset: Dataset, line: float) -> float:
+    """Return the share of the PV's variance about a straight line, on the fitted part, that a wave explains."""
+    t, pv = dataset.data.t[dataset.fitted], dataset.data.pv[dataset.fitted]
+    angle = 2.0 * math.pi * line / dataset.span_s * t
+    straight = residual_after(np.column_stack((np.ones(t.size), t)), pv)
+    left = residual_after(np.column_stack((np.ones(t.size), t, np.cos(angle), np.sin(angle))), pv)
+    return 1.0 - float(left @ left) / max(float(straight @ straight), SMALLEST_DIVISOR)
 
 
 def with_varying_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:

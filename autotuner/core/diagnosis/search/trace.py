@@ -22,7 +22,11 @@ from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
-from autotuner.core.diagnosis.search.dynamics_search import with_less_dead_time, with_varying_dead_time
+from autotuner.core.diagnosis.search.dynamics_search import (
+    with_less_dead_time,
+    with_varying_dead_time,
+    with_wave_from_anew,
+)
 from autotuner.core.diagnosis.search.friction_search import (
     that_stick,
     with_friction,
@@ -194,6 +198,7 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
         if any(is_noise(context, candidate) for candidate in friction):
             return friction, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
+    late += with_wave_from_anew(context, base, effects)
     return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 
@@ -222,7 +227,8 @@ def _carried(
     """
     if context.dataset.tuned:
         return [[c] for c in _distinct(found)[:BEAM]]
-    single = _distinct(closest_first(c for of in sketches for c in of if len(c.names) == 1 and is_physical(c)))
+    every = [*found, *(c for of in sketches for c in of)]
+    single = _distinct(closest_first(c for c in every if len(c.names) == 1 and is_physical(c)))
     others = [c for c in single if c.names != best.names][:BEAM]
     groups = [[best]] if best.problem.effects or not others else []
     return [*groups, others] if others else groups
