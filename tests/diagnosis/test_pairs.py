@@ -195,6 +195,7 @@ def test_no_other_effect_is_searched_in_place_of_a_measured_disturbance():
     context, _, pair = with_a_column(offsets=[Drift(0.01)])
     drift = of_form(loads_of(context.dataset), "drift")
     assert {c.names for c in _exchanged(context, [pair], [drift])} == {("measured_disturbance", "drift")}
+    assert _in_other_forms(context, [pair], loads_of(context.dataset)) == []
 
 
 @pytest.mark.parametrize(("hidden", "kept"), [({"loads": [PeriodicLoad(0.3, 40.0)]}, True), ({}, False)])

@@ -134,7 +134,8 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     """Return the explanation with a straight drift in place of a load whose ramp begins and ends where none shows."""
     ramp = next((e for e in chosen.problem.effects if e.key == RAMP), None)
     drift = next((e for e in effects if e.name == "drift" and not e.form), None)
-    if ramp is None or drift is None or any(e.group == drift.group for e in chosen.problem.effects if e is not ramp):
+    others = [e for e in chosen.problem.effects if e is not ramp]
+    if ramp is None or drift is None or not fits_beside(drift, others):
         return chosen
     return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
 

@@ -255,7 +255,8 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
 def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the closest pairs with either effect in the other forms of its name.
 
-    A form whose size is far from each start looks no better than none beside another effect, and is passed over.
+    A form whose size is far from each start looks no better than none beside another effect, and is passed over. A
+    measured disturbance is known, and stays.
     """
     if context.dataset.tuned or any(is_noise(context, c) for c in found):
         return []
@@ -264,7 +265,8 @@ def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Seque
         (alone_beside(context, c, kept), forms)
         for c in pairs
         for kept, exchanged in permutations(c.problem.effects)
-        if (forms := [e for e in effects if e.name == exchanged.name and e.form != exchanged.form])
+        if not exchanged.measured
+        and (forms := [e for e in effects if e.name == exchanged.name and e.form != exchanged.form])
     ]
     return [c for beside, forms in exchanges for c in extend(context, [beside], forms)]
 
