@@ -87,3 +87,12 @@ def test_an_output_of_two_levels_has_no_curve():
     share, shape = _share(x, 2.0 * x, np.arange(200) < 100)
     assert share == pytest.approx(1.0)
     assert shape == "in proportion"
+
+
+def test_levels_that_differ_by_rounding_give_no_warning():
+    """They count as many levels, and no polynomial tells them apart."""
+    random = np.random.default_rng(5)
+    output = np.repeat([0.0, 1.0], 100) + random.uniform(0.0, 1e-16, 200)
+    learned = np.arange(200) % 2 == 0
+    share, _ = _share(output, 3.0 * (output > 0.5) + random.normal(0.0, 0.1, 200), learned)
+    assert share == pytest.approx(1.0, abs=0.02)

@@ -138,7 +138,8 @@ def _share(values: FloatArray, residual: FloatArray, learned: BoolArray) -> tupl
     for degree, words in SHAPES.items():
         if degree >= levels:
             break
-        curve = np.polyval(np.polyfit(x[learned], residual[learned], degree), x[~learned])
+        powers = np.vander(x, degree + 1)
+        curve = powers[~learned] @ np.linalg.lstsq(powers[learned], residual[learned], rcond=None)[0]
         left = others - (curve - curve.mean())
         share = 1.0 - float(left @ left) / whole
         if share > best + BETTER:

@@ -83,7 +83,7 @@ def rate_limit(dataset: Dataset, *, unequal: bool = False) -> Effect:
 
 def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -> HeldInput:
     """Return a position that moves by so much a second at most, its ramps written as small steps about their middle."""
-    times, levels = [float(held.times[0])], [0.0]
+    ramps = []  # of each: its begin, the position there, and duration, rise and number of its steps
     x = 0.0
     ends = [*held.times[1:].tolist(), math.inf]
     for t, target, end in zip(held.times.tolist(), held.levels.tolist(), ends, strict=True):
@@ -94,12 +94,20 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -
         lasts = abs(way) / rate
         covered = min(lasts, end - t)
         pieces = min(max(int(PIECES * min(1.0, covered / lasts + 0.2)), 2), PIECES)
-        piece, rise = covered / pieces, math.copysign(rate, way) * covered / pieces
-        for k in range(pieces):
-            times.append(t + (k + 0.5) * piece)
-            levels.append(x + (k + 1) * rise)
+        rise = math.copysign(rate, way) * covered / pieces
+        ramps.append((t, x, covered / pieces, rise, pieces))
         x += rise * pieces
-    return HeldInput(np.array(times), np.array(levels))
+    return _in_steps(held.times[0], ramps)
+
+
+def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, int]]) -> HeldInput:
+    """Return a position that is at 0 from its start, and moves by ramps, each in steps about their middle."""
+    begins, positions, durations, rises, pieces = np.array(ramps).reshape(-1, 5).T
+    counts = pieces.astype(int)
+    step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    times = np.repeat(begins, counts) + (step + 0.5) * np.repeat(durations, counts)
+    levels = np.repeat(positions, counts) + (step + 1) * np.repeat(rises, counts)
+    return HeldInput(np.append(start_s, times), np.append(0.0, levels))
 
 
 def quantisation(dataset: Dataset, form: str, steps: Sequence[tuple[float, float]]) -> Effect:
