@@ -17,7 +17,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
-from autotuner.core.diagnosis.search.dynamics_search import with_wave_from_anew
+from autotuner.core.diagnosis.search.dynamics_search import with_process_beside_wave
 from autotuner.core.diagnosis.search.judge import held_out, is_foreseen, is_supported, weigh, weighs_enough
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_drift, with_plain_limit, with_steps
@@ -50,8 +50,8 @@ from tests.diagnosis.simulated import LAG, PAIR, RINGING, at_the_truth, moves, o
 SIGMA = 0.05
 
 
-def noisy(**physics):
-    plain = record(LAG, moves(600, 20), **physics)
+def noisy(plant=LAG, output=None, **physics):
+    plain = record(plant, moves(600, 20) if output is None else output, **physics)
     return Recording(plain.t, plain.output, plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600))
 
 
@@ -76,16 +76,15 @@ def test_a_free_load_beside_a_limit_is_exchanged_for_the_drift_that_it_follows()
 
 def test_a_load_that_enters_a_process_with_a_slow_mode_is_exchanged_at_its_input():
     """Both paths answer to the load; on the PV it would pass the first one alone."""
-    u, loads = moves(600, 20), [LoadStep(250.0, 5.0)]
-    paths = [record(plant, u, loads=loads) for plant in (LAG, Fopdt(0.9, 90.0, LAG.D))]
-    pv = paths[0].pv + paths[1].pv + SIGMA * np.random.default_rng(4).standard_normal(600)
-    recording = Recording(paths[0].t, paths[0].output, pv)
+    loads = [LoadStep(250.0, 5.0)]
+    quick, slow = noisy(loads=loads), record(Fopdt(0.9, 90.0, LAG.D), moves(600, 20), loads=loads)
+    recording = Recording(quick.t, quick.output, quick.pv + slow.pv)
     context = bench_of(dataset_of(recording))
     load, free = of_form(loads_of(context.dataset), "load_step"), free_forms(context.dataset)[0]
     start = at_the_truth(recording, LAG, (load, [250.0 / context.dataset.span_s]), (free, []), dataset=context.dataset)
     pair = fit(start.problem, start.theta, 5)
-    slow = of_form(process_effects(context.dataset, start), "slow_mode")
-    found = _exchanged(context, [pair], [slow])[0]
+    mode = of_form(process_effects(context.dataset, start), "slow_mode")
+    found = _exchanged(context, [pair], [mode])[0]
     assert [e.key for e in found.problem.effects] == ["slow_mode", "load_step:at the input"]
     assert found.rms < 1.1 * SIGMA < 0.5 * pair.rms
 
@@ -144,8 +143,7 @@ LEVELS = np.repeat(np.resize([0.0, 8.0, -7.0, 3.0], 40), 15)
     ids=["four levels of three", "a curve"],
 )
 def test_steps_are_tried_in_place_of_a_curve(output, actuator, alike):
-    plain = record(LAG, output, actuators=[actuator])
-    recording = Recording(plain.t, plain.output, plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600))
+    recording = noisy(output=output, actuators=[actuator])
     context = bench_of(dataset_of(recording))
     effects = actuator_effects(context.dataset, [], {})
     start = at_the_truth(recording, LAG, (of_form(effects, "static_nonlinearity:cubic"), []), dataset=context.dataset)
@@ -255,12 +253,11 @@ def test_a_kink_beside_a_drift_weighs_enough_from_a_quarter_more_than_noise(rati
 
 
 def test_a_large_wave_is_searched_with_a_process_that_does_not_ring_in_its_place():
-    plain = record(PAIR, moves(600, 20), offsets=[PeriodicOffset(6.0, 41.0)])
-    recording = Recording(plain.t, plain.output, plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600))
+    recording = noisy(PAIR, offsets=[PeriodicOffset(6.0, 41.0)])
     context = bench_of(dataset_of(recording))
     ringing = at_the_truth(recording, RINGING, dataset=context.dataset)
     base = SimpleNamespace(origins=[fit(replace(ringing.problem, rows=context.fine), ringing.theta, 0)])
-    (found,) = with_wave_from_anew(context, base, loads_of(context.dataset))
+    (found,) = with_process_beside_wave(context, base, loads_of(context.dataset))
     assert found.names == ("periodic_disturbance",)
     assert found.rms < 1.1 * SIGMA
     assert found.sizes() == [pytest.approx({"period_s": 41.0, "amplitude": 6.0}, rel=0.01)]
@@ -276,11 +273,10 @@ PULSE = np.concatenate((np.zeros(20), np.ones(2), np.zeros(478), np.full(100, 8.
     ids=["the right process", "a reading that is off later", "a gain that is hardly known"],
 )
 def test_an_error_elsewhere_is_foreseen_where_the_numbers_make_it(output, off, expected):
-    plain = record(LAG, output)
-    pv = plain.pv + SIGMA * np.random.default_rng(4).standard_normal(600)
-    pv[dataset_of(plain).held_out] += off
-    context = bench_of(dataset_of(Recording(plain.t, plain.output, pv)))
-    start = at_the_truth(plain, LAG, dataset=context.dataset)
+    plain = noisy(output=output)
+    recording = Recording(plain.t, plain.output, plain.pv + off * dataset_of(plain).held_out)
+    context = bench_of(dataset_of(recording))
+    start = at_the_truth(recording, LAG, dataset=context.dataset)
     right = fit(replace(start.problem, rows=context.fine), start.theta, 0)
     assert is_foreseen(context, right, SIGMA) is expected
 

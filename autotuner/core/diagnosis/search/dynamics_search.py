@@ -37,19 +37,19 @@ KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
 ADDED = (0.3, 0.7)
 """Dead times to begin with where the process alone has none, in hundredths of the record (`Extended.unit_s`)."""
-WAVE = 0.2
-"""Least share of the PV's variance about a straight line that one of its two strongest waves has, to be searched."""
+STRONGEST, WAVE = 2, 0.2
+"""Waves of the PV that are looked at, and the least share of its variance about a straight line to be searched for."""
 LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
 """Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
-SECOND_LAG = 0.1
-"""The second lag to begin with, in first ones."""
+QUICK_LAG = 0.1
+"""The quicker lag to begin with beside a wave, in slower ones."""
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
 
 def with_less_dead_time(context: FitContext, origins: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the first pair of lags with each effect that makes an answer late, fitted on all samples, where closer."""
-    pair = next((o for o in origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
+    pair = _free_pair(origins)
     if pair is None:
         return []
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
@@ -57,25 +57,30 @@ def with_less_dead_time(context: FitContext, origins: Sequence[Fitted], effects:
     return [f for f in found if is_physical(f) and f.rms < pair.rms]
 
 
-def with_wave_from_anew(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return a wave with a pair of lags that is searched beside it, fitted on all samples, where closer.
+def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return a wave with a pair of lags that is searched for beside it, fitted on all samples, where closer.
 
     Alone, the process rings in place of a large wave, or waits for half of its period, and does not come back from it.
     """
     wave = next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
-    pair = next((o for o in base.origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
+    pair = _free_pair(base.origins)
     dataset = context.dataset
     if wave is None or pair is None or dataset.tuned or pair.problem.effects:
         return []
     problem = replace(pair.problem.with_effect(wave), rows=context.coarse)
-    lines = [f for f in spectral_lines(dataset, dataset.data.pv)[:2] if _share_of_wave(dataset, f) > WAVE]
+    lines = [f for f in spectral_lines(dataset, dataset.data.pv)[:STRONGEST] if _share_of_wave(dataset, f) > WAVE]
     starts = (
-        np.array([math.log(lag * dataset.span_s), math.log(SECOND_LAG * lag * dataset.span_s), delay, math.log(line)])
+        np.array([math.log(lag * dataset.span_s), math.log(QUICK_LAG * lag * dataset.span_s), delay, math.log(line)])
         for line, lag, delay in product(lines, LAGS, DELAYS)
     )
     found = [fit(problem, start, COARSE_STEPS, ENOUGH_FOR_RANKS) for start in within(dataset.budget, starts)]
     best = [refined(context, c) for c in closest_first(found)[:1]]
     return [c for c in best if is_physical(c) and c.rms < pair.rms]
+
+
+def _free_pair(origins: Sequence[Fitted]) -> Fitted | None:
+    """Return the first pair of lags whose values are not held."""
+    return next((o for o in origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
 
 
 def _share_of_wave(dataset: Dataset, line: float) -> float:

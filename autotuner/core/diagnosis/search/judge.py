@@ -57,7 +57,7 @@ LEAST_WEIGHT = 0.04
 FAINT = 2e-3
 """Weight below which this holds, too, unless both parts have only noise left: without noise, any form may be
 corrected."""
-FORETOLD = 0.02
+PREDICTED = 0.02
 """The same weight on the held-out part, from which an effect that leaves only noise is accepted."""
 SEVERAL = 2
 """Effects, but for measured ones, beside which a further one has to complete the explanation."""
@@ -243,19 +243,19 @@ def weighs_enough(context: FitContext, alone: Fitted, before: Fitted, after: Fit
     With two effects, a third one follows what their forms leave: it has to leave only noise, or halve both errors.
     """
     weight = _part_of_fall(alone.mean_square, before.mean_square, after.mean_square)
-    noise = min(noise_of(context, after), math.hypot(after.rms, context.dataset.floor))
+    noise = min(noise_of(context, after), math.sqrt(after.misfit))
     held_alone = context.held_out_error(alone)
     held_before, held_after = (rms(r) for r in held_out(context, before, after))
     there = before.rms > VISIBLE * noise or held_before > 2.0 * VISIBLE * noise
-    foretells = held_after < max(VISIBLE * noise, HALVED * held_before) or is_foreseen(context, after, noise)
-    silent = after.rms < NOTHING_LEFT * noise and foretells
+    predicts = held_after < max(VISIBLE * noise, HALVED * held_before) or is_foreseen(context, after, noise)
+    silent = after.rms < NOTHING_LEFT * noise and predicts
     completes = silent and there
     confirmed = held_after < VISIBLE * noise < HALVED * held_before and after.rms < HALVED * before.rms
     silences = completes and held_after < NOISE_ELSEWHERE * noise < HALVED * held_before
-    foretold = _part_of_fall(held_alone**2, held_before**2, held_after**2)
+    predicted = _part_of_fall(held_alone**2, held_before**2, held_after**2)
     third = sum(not effect.measured for effect in after.problem.effects) > SEVERAL
     heavy = weight > LEAST_WEIGHT and not third
-    shown = weight > FAINT or foretold > FORETOLD
+    shown = weight > FAINT or predicted > PREDICTED
     visible = silent and before.rms > NOISE_ELSEWHERE * noise
     return heavy or silences or (shown and (completes or confirmed)) or (visible and _acts_otherwise(before, after))
 

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects import catalogue
+from autotuner.core.diagnosis.effects.actuator.levels import step_grids
+from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation
 from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.extended.base import is_physical
@@ -149,8 +150,9 @@ def with_steps(context: FitContext, chosen: Fitted) -> tuple[Fitted, list[Fitted
     if curve is None or context.dataset.tuned or context.dataset.budget.spent:
         return chosen, []
     straight = alone_beside(context, chosen, *(e for e in chosen.problem.effects if e is not curve))
-    steps = [e for e in catalogue(straight, context.coarse, None) if e.name == "output_quantisation" and e.searched]
-    tried = [_exchanged(chosen, curve, e, start) for e in steps for start in e.starts]
+    grids = step_grids(straight, context.coarse)
+    steps = [(quantisation(context.dataset, form, starts), start) for form, starts in grids.items() for start in starts]
+    tried = [_exchanged(chosen, curve, e, start) for e, start in steps]
     if not tried:
         return chosen, []
     return _plainer(context, chosen, closest_first(tried)[0]), [c for c in tried if is_physical(c)]

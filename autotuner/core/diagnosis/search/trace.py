@@ -24,8 +24,8 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit,
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import (
     with_less_dead_time,
+    with_process_beside_wave,
     with_varying_dead_time,
-    with_wave_from_anew,
 )
 from autotuner.core.diagnosis.search.friction_search import (
     that_stick,
@@ -93,11 +93,9 @@ TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
 SECOND_LAG = 0.3
 """Initial guess of the second lag, relative to the first."""
 EXCHANGED = 3
-"""Pairs whose effects are searched again, each beside the other."""
+"""Pairs whose effects are searched again, each beside the other, and tried in other forms."""
 GOES_ON = frozenset({"drift", "load_step"})
 """Names of a load of free shape that goes one way: its textbook forms say how it goes on."""
-RESHAPED = 3
-"""Pairs whose effects are tried in other forms."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 BEAM = 3
@@ -198,7 +196,7 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
         if any(is_noise(context, candidate) for candidate in friction):
             return friction, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
-    late += with_wave_from_anew(context, base, effects)
+    late += with_process_beside_wave(context, base, effects)
     return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 
@@ -240,9 +238,7 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
     A free load beside the right effect follows the other one, and shows the process; a first effect that was accepted
     alone may stand in for another, which is found beside the second only. A measured disturbance is known, and stays.
     """
-    if context.dataset.tuned or any(is_noise(context, c) for c in found):
-        return []
-    pairs = [at_the_input(context, c) for c in _distinct(found) if len(c.names) == PAIR][:EXCHANGED]
+    pairs = [at_the_input(context, c) for c in _to_improve(context, found)[:EXCHANGED]]
     kept = [
         (c, e)
         for c in pairs
@@ -252,15 +248,20 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
     return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
 
 
+def _to_improve(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
+    """Return the pairs of a record that is no experiment, the closest first; none where something leaves only noise."""
+    if context.dataset.tuned or any(is_noise(context, c) for c in found):
+        return []
+    return [c for c in _distinct(found) if len(c.names) == PAIR]
+
+
 def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the closest pairs with either effect in the other forms of its name.
 
     A form whose size is far from each start looks no better than none beside another effect, and is passed over. A
     measured disturbance is known, and stays.
     """
-    if context.dataset.tuned or any(is_noise(context, c) for c in found):
-        return []
-    pairs = [c for c in _distinct(found) if len(c.names) == PAIR and not is_beside_free_load(c)][:RESHAPED]
+    pairs = [c for c in _to_improve(context, found) if not is_beside_free_load(c)][:EXCHANGED]
     exchanges = [
         (alone_beside(context, c, kept), forms)
         for c in pairs
@@ -437,25 +438,26 @@ def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: 
     if context.dataset.budget.spent:
         return True
     if accepted:
-        return best.rms < NOTHING_LEFT * noise_of(context, best) and not _foretells_nothing(context, best)
+        return best.rms < NOTHING_LEFT * noise_of(context, best) and not _fails_later(context, best)
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(context, following)
 
 
-def _foretells_nothing(context: FitContext, candidate: Fitted) -> bool:
-    """Return whether a load of free shape alone stands for one that goes one way, and fails after the fitted part.
+def _fails_later(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether the one effect is a load of free shape that goes one way, and fails after the fitted part.
 
     It follows whatever else the fitted part has, such as a relay's equal periods.
     """
     free = len(candidate.problem.effects) == 1 and candidate.problem.effects[0].reads_as is not None
-    fails = context.held_out_error(candidate) > VISIBLE * noise_of(context, candidate)
-    return free and fails and not context.dataset.tuned and candidate.reported_names()[0] in GOES_ON
+    if context.dataset.tuned or not free or candidate.reported_names()[0] not in GOES_ON:
+        return False
+    return context.held_out_error(candidate) > VISIBLE * noise_of(context, candidate)
 
 
-def _foretells_instead(context: FitContext, before: Fitted, after: Fitted) -> bool:
+def _predicts_instead(context: FitContext, before: Fitted, after: Fitted) -> bool:
     """Return whether an explanation leaves noise on both parts where a load of free shape fails on the other one."""
-    kept = set(before.names) & set(after.names)
-    closer = context.criterion(after, 1.0) < context.criterion(before, 1.0)
-    return not kept and closer and _foretells_nothing(context, before) and is_noise(context, after)
+    if not _fails_later(context, before) or set(before.names) & set(after.names):
+        return False
+    return context.criterion(after, 1.0) < context.criterion(before, 1.0) and is_noise(context, after)
 
 
 def _is_late(context: FitContext, base: Base, steps: Sequence[Fitted]) -> bool:
@@ -477,7 +479,7 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
         return is_supported(against, first=True, seen_held_out=seen) and context.criterion(
             after, inflated
         ) < context.criterion(before, inflated)
-    if _foretells_instead(context, before, after):
+    if _predicts_instead(context, before, after):
         return True
     if not is_supported(weigh(context, before, after), first=first, seen_held_out=seen):
         return False

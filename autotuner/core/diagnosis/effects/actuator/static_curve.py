@@ -17,8 +17,8 @@ import numpy as np
 import scipy
 
 from autotuner.core.diagnosis.effects.actuator.levels import SAME
+from autotuner.core.diagnosis.effects.actuator.saturation import map_levels
 from autotuner.core.diagnosis.extended.effect import Effect, Place
-from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -119,9 +119,8 @@ class _columns:  # noqa: N801 - a function with the splines in it
         self.splines = scipy.interpolate.CubicSpline(knots, basis, bc_type="natural")
 
     def __call__(self, view: View, _p: Sequence[float]) -> list[FloatArray]:
-        inside = np.clip(view.position.levels, *self.knots[[0, -1]])
-        positions = self.splines(inside).T
-        return list(view.forced(HeldInput(view.position.times, positions - positions[:, :1])))
+        low, high = self.knots[[0, -1]]
+        return list(view.forced(map_levels(view.position, lambda u: self.splines(np.clip(u, low, high)).T)))
 
 
 def _positions(knots: FloatArray, basis: FloatArray, c: Sequence[float], gain: float) -> FloatArray:
