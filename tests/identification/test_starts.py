@@ -1,5 +1,6 @@
 """A known model as the start of least squares, in place of a scan."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from autotuner.core.estimation.initial_guesses import Start, starts_from
 from autotuner.core.estimation.variable_projection import Projection
 from autotuner.core.identification import running_model
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, UnstableFopdt, second_order
-from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, THIRD_ORDER
+from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER, THIRD_ORDER, searched
 from autotuner.core.recording import Recording
 from benchmarks.accuracy.estimates.learned import record
 
@@ -120,3 +121,15 @@ def test_slopes_that_underflow_move_nothing_and_warn_of_nothing(monkeypatch):
     found = optimiser.refine(data, FOPDT, ("offset",), start)
     assert found.start.delay_s == start.delay_s
     assert found.start.shape == pytest.approx((10.0,), rel=0.02)
+
+
+@pytest.mark.parametrize("structure", searched("auto"), ids=lambda structure: structure.name)
+def test_whatever_the_search_tries_is_a_number(structure):
+    """A search that runs away tries lags of any length, and a product of several must not be without end."""
+    t = np.arange(120) * 0.5
+    data = data_of(Recording(t, np.repeat([0.0, 1.0, -1.0, 1.0, 0.0], 24), np.sin(t)))
+    problem = Projection(data, structure, ("offset",), 1.0)
+    for logarithms in itertools.product((-1e3, -110.0, 0.0, 110.0, 260.0, 1e3), repeat=len(structure.shape)):
+        theta = np.array([*logarithms, 1.3])
+        assert np.isfinite(problem.residual(theta)).all()
+        assert np.isfinite(problem.jacobian(theta)).all()

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 UNSEEN = 1e-100
 """Slope, PV, that counts as zero: the tail of a response that ends within a sample. Nothing measured moves as little,
 and MINPACK would follow such a slope over any distance, with a covariance that overflows."""
+FARTHEST = 100.0
+"""Largest logarithm of a shape, of s: a search that runs away stops at 1e43 s, of which seven factors are a number."""
 DIFFERENCE = 1e-6
 """Step of the forward differences in the logarithms."""
 
@@ -84,7 +86,7 @@ class Projection:
     def split(self, theta: FloatArray) -> tuple[list[float], float]:
         """Return shape and dead time, s."""
         size = len(self.structure.shape)
-        shape = [math.exp(min(max(value, -300.0), 300.0)) for value in theta[:size].tolist()]
+        shape = [math.exp(min(max(value, -FARTHEST), FARTHEST)) for value in theta[:size].tolist()]
         if self.fixed_delay_s is not None:
             return shape, self.fixed_delay_s
         return shape, float(theta[size]) * self.delay_unit_s
