@@ -1,5 +1,6 @@
 """What acts between controller and process: against the simulator, which shares no code with it."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,6 +40,15 @@ def test_it_moves_as_in_the_simulator(ours, judge):
     act = acting(ours)
     judge.rest(0.0)
     assert [act(u) for u in COMMANDS] == pytest.approx([judge.act(u, 0.5) for u in COMMANDS], abs=1e-12)
+
+
+def test_a_positioner_approaches_like_a_lag_by_a_limited_rate():
+    """Rate 1.2 a second, lag 0.8 s: within 0.96 of the end of a step of 3 the rest fades."""
+    act = acting(effect("rate_limit", rate_per_s=1.2, lag_s=0.8), sample_time_s=0.001)
+    course = [act(3.0) for _ in range(4000)]
+    assert course[999] == pytest.approx(1.2, abs=0.01)
+    limited_s = (3.0 - 1.2 * 0.8) / 1.2
+    assert course[3199] == pytest.approx(3.0 - 1.2 * 0.8 * math.exp(-(3.2 - limited_s) / 0.8), abs=0.01)
 
 
 def test_limits_are_those_of_the_output_and_positions_deviations():

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,6 +19,7 @@ from autotuner.core.diagnosis.effects.actuator.saturation import clipped, map_le
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     actuator_effects,
+    positioned,
     quantisation,
     rate_limit,
     rate_limited,
@@ -25,6 +27,7 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     updated_every,
 )
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner_sim import (
     ActuatorHold,
@@ -118,6 +121,29 @@ def test_a_rate_limit_is_mirrored_and_covers_no_more_than_its_rate(u, up, down):
     # Its small steps are at the middle of the parts of a ramp: at most one step ahead of the rate.
     steps, passed = np.diff(there.levels), np.diff(there.times)
     assert np.all(steps <= up * passed + np.abs(steps) / 2.0 + np.abs(np.append(0.0, steps[:-1])) / 2.0 + 1e-9)
+
+
+@pytest.mark.parametrize(("rate", "lag_s"), [(2.0, 0.5), (3.0, 2.0), (0.4, 4.0), (50.0, 3.0)])
+def test_a_positioner_is_that_of_a_general_solver(rate, lag_s):
+    """Limited over the whole way, at its beginning only, at no time, and cut off by the next command."""
+    u = np.repeat([0.0, 6.0, -4.0, -3.5, 5.0, 0.0], 6)
+
+    def f(t, x):
+        return [min(max((u[min(int(t), u.size - 1)] - x[0]) / lag_s, -rate), rate), (x[0] - x[1]) / 3.0]
+
+    t = np.arange(1.0, u.size, 0.5)
+    exact = scipy.integrate.solve_ivp(f, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=0.01, rtol=1e-8).y[1]
+    behind_it = Lag(3.0).forced(positioned(held(u), rate, lag_s), t)[0][0]
+    assert behind_it == pytest.approx(exact, abs=0.01 * np.ptp(u))
+
+
+@QUICK
+@given(levels, st.floats(0.05, 30.0), st.floats(0.1, 20.0))
+def test_a_positioner_is_mirrored_and_ends_between_its_commands(u, rate, lag_s):
+    there, mirrored = positioned(held(u), rate, lag_s), positioned(held(-u), rate, lag_s)
+    assert mirrored.levels == pytest.approx(-there.levels, abs=1e-9)
+    assert np.all(np.diff(there.times) >= 0.0)
+    assert u.min() - 1e-9 <= there.levels.min() <= there.levels.max() <= u.max() + 1e-9
 
 
 def test_a_quick_actuator_follows_at_once():

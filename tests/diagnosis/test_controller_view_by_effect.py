@@ -25,6 +25,8 @@ def found(name, interval95=None, **sizes):
         (found("direction_dynamics", rise_over_fall=1.5), {"K": 3.0}),
         (found("direction_dynamics", rising_lag_s=0.3, falling_lag_s=0.8), {"D": 2.3}),
         (found("actuator_hold", period_s=1.0), {"D": 2.0}),
+        (found("rate_limit", rate_per_s=0.5), {}),
+        (found("rate_limit", rate_per_s=0.5, lag_s=0.4), {"D": 1.9}),
         (found("flow_delay", flow_per_output=0.05, longest_over_first=1.6), {"D": 2.4}),
     ],
 )

@@ -8,8 +8,9 @@ import scipy
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
-from autotuner.core.diagnosis.effects.free_forms import _shape_of, by_chance
+from autotuner.core.diagnosis.effects.free_forms import by_chance, shape_of
 from autotuner.core.diagnosis.effects.process.friction import _Axis, _course
+from autotuner.core.diagnosis.effects.waves import slow_wave
 from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
@@ -228,7 +229,42 @@ def test_a_load_of_free_shape_is_called_ambient():
     ],
 )
 def test_a_free_load_is_called_by_its_shape(curve, name):
-    assert _shape_of(curve(np.linspace(0.0, 1.0, 120))) == name
+    assert shape_of(curve(np.linspace(0.0, 1.0, 120))) == name
+
+
+@pytest.mark.parametrize("rests_first", [True, False])
+def test_a_slow_wave_is_named_with_its_period_and_foretold(among, rests_first):
+    """A load of three quarters of a period in the record, from rest and from any state."""
+    among("ambient", "load_step", "drift")
+    output = steps()
+    output[:20] = 0.0 if rests_first else 8.0
+
+    def lag(x, u, t):
+        return (2.0 * (u + 3.0 * math.sin(2.0 * math.pi * t / 930.0 + 0.5)) - x) / 15.0
+
+    states = integrated(lag, output, [0.0 if rests_first else 16.0])
+    found = diagnose(recorded(output, states[:, 0], 0.05))
+    assert [(effect.name, effect.form) for effect in found.effects] == [("ambient", "slow wave")]
+    assert found.effects[0].parameters["period_s"] == pytest.approx(930.0, rel=0.03)
+    assert found.effects[0].parameters["amplitude"] == pytest.approx(6.0, rel=0.05)
+    assert found.error["held_out"].after < 1.2 * 0.05
+
+
+def test_a_wave_that_only_goes_one_way_in_a_record_is_no_slow_wave():
+    output = steps()
+    wave = slow_wave(dataset_of(recorded(output, output, 0.05)))
+    assert wave.means((math.log(0.9),), (0.0, 1.0), 1.0, ())
+    assert not wave.means((math.log(0.6),), (1.0, 0.0), 1.0, ())
+
+
+def test_a_drift_that_bends_is_named_and_foretold(among):
+    among("ambient", "load_step", "drift")
+    output, t = steps(), np.arange(float(N))
+    states = integrated(lambda x, u, _t: (2.0 * u - x) / 15.0, output, [0.0])
+    found = diagnose(recorded(output, states[:, 0] + 6.0 * (t / N) ** 2.6, 0.05))
+    assert [(effect.name, effect.form) for effect in found.effects] == [("drift", "curved")]
+    assert found.effects[0].parameters["pv_in_all"] == pytest.approx(6.0 * 0.6**2.6, rel=0.05)
+    assert found.error["held_out"].after < 1.5 * 0.05
 
 
 def test_dry_friction_of_an_axis_is_named_on_the_process_side():

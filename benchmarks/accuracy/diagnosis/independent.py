@@ -8,7 +8,8 @@
 The judges are the generator's own: the noise that it added, the effect that it hid, and whether a linear model that
 this file fits by itself (two lags, dead time, gain, offset, initial state) misses by more than 1.5 of those sigmas.
 `after` is the measured PV minus the simulated PV that the diagnosis returns, on the part of the record that it names
-as its test, over the generator's sigma.
+as its test, over the generator's sigma. `truth` is the same of the PV that the generator simulated: what an explanation
+without any error leaves, with spikes and rounding of the sensor.
 
 Of a pair, either effect has to be visible by itself. Intervals are those of the first effect's sizes, as far as the
 generator has the same ones, and of the gain of the process beside it.
@@ -167,6 +168,7 @@ def judged(case: Case) -> Row:
         "both": len(alike) == 2 and len(set().union(*meant)) == 2,
         "third": not all(meant),
         "after": float(np.sqrt(np.mean(off**2))) / record.sigma,
+        "truth": float(np.sqrt(np.mean((record.y - record.truth)[-np.count_nonzero(late) :] ** 2))) / record.sigma,
         "K": gain_and_interval(answer, record),
         "sizes": sizes_and_intervals(answer, record) if first else [],
         "s": round(time.process_time() - began, 2),
@@ -251,6 +253,10 @@ def is_close(row: Row) -> bool:
     return bool(row["after"] <= 1.1)
 
 
+def is_close_by_truth(row: Row) -> bool:
+    return bool(row.get("truth", math.nan) <= 1.1)
+
+
 def has(verdict: str, row: Row) -> bool:
     return bool(row["verdict"] == verdict)
 
@@ -311,6 +317,7 @@ def summary(rows: list[Row]) -> list[str]:
             f"{title}: {len(part)} visible",
             "  " + ", ".join(f"{name} {percent(part, holds):.1f} %" for name, holds in FIGURES.items()),
             f"  after {np.median(after):.2f} sigmas in the median, 1.1 or less in {percent(part, is_close):.0f} %",
+            f"  the truth itself leaves 1.1 or less in {percent(part, is_close_by_truth):.0f} %",
             f"  {np.median(seconds):.1f} s of processor time in the median, {max(seconds):.1f} s at most",
         ]
     explained = [r for r in seen if r["verdict"] == "explained"]

@@ -3,7 +3,8 @@
     backlash             x follows u from `width`/2 away: x = min(max(x, u - width/2), u + width/2)
     stiction             |u - x| > band:  x <- u - sign(u - x) (band - jump),   else x stays
     saturation           x = min(max(u, low), high)
-    rate_limit           -falling_rate_per_s <= x' <= rate_per_s, falling as fast as rising where not given
+    rate_limit           -falling_rate_per_s <= x' <= rate_per_s, falling as fast as rising where not given;
+                         x' = (u - x)/lag_s within these where a lag is given
     output_quantisation  x = step round(u/step)
     actuator_hold        x takes over u every `period_s` only
     static_nonlinearity  x = u + curvature u^2 (+ third u^3);   slope_at_rest u in place of u  where that is given
@@ -140,10 +141,11 @@ def _saturation(sizes: Mapping[str, float], setting: Setting) -> Actuator:
 def _rate_limit(sizes: Mapping[str, float], setting: Setting) -> Actuator:
     rising, x = sizes["rate_per_s"] * setting.sample_time_s, 0.0
     falling = sizes.get("falling_rate_per_s", sizes["rate_per_s"]) * setting.sample_time_s
+    covered = -math.expm1(-setting.sample_time_s / sizes["lag_s"]) if "lag_s" in sizes else 1.0
 
     def act(u: float) -> float:
         nonlocal x
-        x = min(max(u, x - falling), x + rising)
+        x += min(max(covered * (u - x), -falling), rising)
         return x
 
     return act

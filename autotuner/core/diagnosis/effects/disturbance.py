@@ -1,7 +1,7 @@
 """Disturbances, and errors of the sensor that resemble them.
 
 load_step             + c G[step at ts]             at the input of the process
-drift                 + c max(t - ts, 0)            on the PV
+drift                 + c max(t - ts, 0)            on the PV; or c1 t + c2 t^2 + c3 t^3
 periodic_disturbance  (see `waves`)
 measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
 ambient               the same, for a column that is named so
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.declared import lagged
-from autotuner.core.diagnosis.effects.waves import periodic_disturbances
+from autotuner.core.diagnosis.effects.waves import periodic_disturbances, slow_wave
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
@@ -56,6 +56,7 @@ def disturbance_effects(
         *((_bias_step(dataset, jumps),) if jumps else ()),
         *_drifts(dataset),
         *periodic_disturbances(dataset, residuals),
+        slow_wave(dataset),
         *(
             e
             for name, values in dataset.extra.items()
@@ -159,6 +160,26 @@ def _drifts(dataset: Dataset) -> tuple[Effect, ...]:
             group="slow",
         )
         for form, searched, starts, columns, sizes in ways
+    )
+
+
+def curved_drift(dataset: Dataset) -> Effect:
+    """Return a drift along a cubic of time; it follows many things, and is tried in the place of another course."""
+    span = dataset.span_s
+
+    def cubic(x: FloatArray | float) -> FloatArray:
+        return np.array([x, np.square(x), np.power(x, 3)])
+
+    return Effect(
+        "drift",
+        Place.DISTURBANCE,
+        (),
+        [()],
+        lambda _p, c, _g: {"pv_in_all": float(np.dot(c, cubic(dataset.fitted_until_s / span)))},
+        form="curved",
+        columns=lambda view, _p: list(cubic(view.t / span)),
+        price=2.0,
+        group="slow",
     )
 
 

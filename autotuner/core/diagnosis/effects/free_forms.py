@@ -3,6 +3,7 @@
     load     G[sum_j c_j B_j(t)]            B-splines over the fitted part, constant after it
     pulse    + c G[step(t - ts) - step(t - ts - d)],   and the same on the reading
     ramp     + c G[min((t - ts)/d, 1)]
+    settles  + c G[1 - e^{-(t - ts)/T}]
 
 A free load is called by the shape that it takes: a load step where nearly all of its change comes at once, a drift
 where it goes one way, a periodic disturbance where it comes back several times, and ambient otherwise. The search
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.effects.declared import SETTLED
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -46,12 +48,14 @@ COINCIDENCE, FEW_MOVES = 0.1, 10
 moves for which a response is not separated from other events."""
 MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
+STEPS_OF_A_LOAD = 20
+"""Steps in which a load that ramps or settles is written."""
 
 
 def free_forms(dataset: Dataset) -> tuple[Effect, ...]:
     """Return the forms, with starts from the length of the fitted part."""
     loads = tuple(_free_load(dataset, count) for count in SPLINES)
-    return (*loads, _pulse(dataset), _ramp(dataset), _there_and_back(dataset))
+    return (*loads, _pulse(dataset), _ramp(dataset), _settling(dataset), _there_and_back(dataset))
 
 
 def _free_load(dataset: Dataset, count: int) -> Effect:
@@ -77,7 +81,7 @@ def _free_load(dataset: Dataset, count: int) -> Effect:
         price=2.0,
         group="slow",
         unseen_after=True,
-        reads_as=lambda c: _shape_of(np.array(c) @ curves),
+        reads_as=lambda c: shape_of(np.array(c) @ curves),
     )
 
 
@@ -98,7 +102,7 @@ def _splines(x: FloatArray, count: int) -> FloatArray:
     return result
 
 
-def _shape_of(curve: FloatArray) -> str:
+def shape_of(curve: FloatArray) -> str:
     """Return the name of a load of this course."""
     whole = float(np.ptp(curve))
     if whole <= 0.0:
@@ -177,12 +181,22 @@ def _pulse(dataset: Dataset) -> Effect:
 
 
 def _ramp(dataset: Dataset) -> Effect:
-    shares = (np.arange(20) + 0.5) / 20.0
+    shares = (np.arange(STEPS_OF_A_LOAD) + 0.5) / STEPS_OF_A_LOAD
 
     def shape(begins: float, lasts: float) -> _Held:
-        return np.concatenate(([0.0], begins + lasts * shares)), np.concatenate(([0.0], shares + 0.025))
+        return np.concatenate(([0.0], begins + lasts * shares)), np.concatenate(([0.0], shares + shares[0]))
 
     return _lasting_load(dataset, "ramp", "rises_over_s", shape)
+
+
+def _settling(dataset: Dataset) -> Effect:
+    shares = (np.arange(STEPS_OF_A_LOAD) + 0.5) / STEPS_OF_A_LOAD
+    approach = -np.log1p(-shares * (1.0 - math.exp(-SETTLED)))
+
+    def shape(begins: float, lasts: float) -> _Held:
+        return np.concatenate(([0.0], begins + lasts * approach)), np.concatenate(([0.0], shares + shares[0]))
+
+    return _lasting_load(dataset, "settling", "time_constant_s", shape)
 
 
 def _there_and_back(dataset: Dataset) -> Effect:

@@ -1,6 +1,7 @@
 """Periodic disturbances.
 
-    + a cos(w t) + b sin(w t)      on the PV; with harmonics (a triangle, a relay), growing with time, or begun late
+    + a cos(w t) + b sin(w t)      on the PV; with harmonics (a triangle, a relay), growing with time, or begun late;
+                                   of few periods in a record, a slow wave of the surroundings (`ambient`)
     u + A sin(w t + f)             at the input of the process, for one that answers to its own PV: dry friction
     u + A sgn(sin(w t + f))        the same, switched
 
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.free_forms import shape_of
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -33,6 +35,11 @@ MOST_PERIODS = 0.45
 """Most periods in a record over its samples: a little less than one in two samples, the limit of Nyquist."""
 BEGINS = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Moments at which a wave may begin, in shares of the fitted part."""
+SLOW_WAVE = "slow wave"
+FEWEST_OF_A_SLOW_WAVE, SLOW = 0.4, (0.5, 0.9, 1.5, 2.5)
+"""Fewest periods of a slow wave in a record, with less of which none would turn, and its starts."""
+SHOWN = 100
+"""Points by which the shape of a slow wave is judged."""
 STEPS_OF_A_WAVE = 24
 """Steps in which a period at the input is written, of at least a sample: the largest harmonic of them is 4 %."""
 LARGEST_LOAD = 3.0
@@ -134,6 +141,35 @@ def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
         form="switched at the input" if switched else "at the input",
         load=load,
         price=_price(dataset),
+    )
+
+
+def slow_wave(dataset: Dataset) -> Effect:
+    """Return a sine of fewer periods than a periodic disturbance has, such as that of a day, which turns in the record.
+
+    It enters the process, whose answer is a sine, too, and the motion from the state in which the record begins.
+    """
+    span = dataset.span_s
+
+    def at(times: FloatArray, p: Sequence[float]) -> list[FloatArray]:
+        angle = 2.0 * math.pi * math.exp(p[0]) / span * times
+        return [np.cos(angle), np.sin(angle)]
+
+    def means(p: Sequence[float], c: Sequence[float], _gain: float, _shape: Sequence[float]) -> bool:
+        course = np.array(c[:2]) @ np.array(at(np.linspace(0.0, dataset.fitted_until_s, SHOWN), p))
+        return shape_of(course) == "ambient"
+
+    return Effect(
+        "ambient",
+        Place.DISTURBANCE,
+        (Searched("log_periods", math.log(FEWEST_OF_A_SLOW_WAVE), math.log(fewest_periods(dataset)), 1e-4),),
+        [(math.log(periods),) for periods in SLOW],
+        lambda p, c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(c[0], c[1])},
+        form=SLOW_WAVE,
+        columns=lambda view, p: [*at(view.t, p), *(view.motion.free(view.t) if dataset.settled_first else ())],
+        price=2.0,
+        group="slow",
+        means=means,
     )
 
 

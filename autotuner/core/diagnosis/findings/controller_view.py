@@ -4,6 +4,7 @@
     direction_dynamics   K <- K max(1, rise_over_fall)    the direction in which it moves faster
                          D <- D + the larger of its two lags
     actuator_hold        D <- D + period/2
+    rate_limit           D <- D + the lag of its positioner
     flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
     extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
     inverse_response     G <- G (1 - Z s)
@@ -44,7 +45,11 @@ if TYPE_CHECKING:
 
 STRONGER = {"direction_gain": "ratio", "direction_dynamics": "rise_over_fall"}
 """Effects under which one direction has the larger gain, and the size that states by how much."""
-LATER = {"actuator_hold": {"period_s": 0.5}, "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0}}
+LATER = {
+    "actuator_hold": {"period_s": 0.5},
+    "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0},
+    "rate_limit": {"lag_s": 1.0},
+}
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
 FLOW = "flow_delay"
 """Effect under which the dead time is not always the same; `longest_over_first` is how much longer it becomes."""

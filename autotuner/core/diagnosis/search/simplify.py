@@ -4,6 +4,7 @@ pair of lags -> one lag      form of friction with two numbers -> plain play
 kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
 load that ramps as long as the record shows -> straight drift
+load of free shape, late drift -> drift along a cubic, slow wave
 curve of an actuator that stands at a few levels -> steps
 form of an effect whose further numbers say nothing -> its plain form
 
@@ -21,8 +22,10 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.levels import step_grids
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation
+from autotuner.core.diagnosis.effects.disturbance import curved_drift
 from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
+from autotuner.core.diagnosis.effects.waves import SLOW_WAVE
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
@@ -52,6 +55,8 @@ MUCH_LARGER = 1.4
 """Ratio of the errors on the part not fitted from which the plainer explanation fails there: twice the squares."""
 RAMP = "load_step:ramp"
 """The effect that a straight drift may replace."""
+SLOW = "slow"
+"""Group of the effects that follow a course of time."""
 CURVES = frozenset({"static_nonlinearity", "direction_gain", "saturation"})
 """Effects that give each level of the output another one, as steps do."""
 RICH = 2
@@ -139,6 +144,26 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     if ramp is None or drift is None or not fits_beside(drift, others):
         return chosen
     return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
+
+
+def with_smooth_course(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with a drift along a cubic, or a slow wave, in place of a load or drift of another form.
+
+    Both go on after the fitted part, which a load of free shape does not, and bend, which a late drift does not.
+    """
+    slow = next((e for e in chosen.problem.effects if e.group == SLOW and e.form), None)
+    if slow is None:
+        return chosen
+    others = [e for e in chosen.problem.effects if e is not slow]
+    courses = [curved_drift(context.dataset), *(e for e in effects if e.form == SLOW_WAVE)]
+    tried = [
+        _exchanged(chosen, slow, course, start)
+        for course in courses
+        if course.key != slow.key and fits_beside(course, others)
+        for start in course.starts
+    ]
+    plainer = (_plainer(context, chosen, candidate) for candidate in closest_first(tried))
+    return next((candidate for candidate in plainer if candidate is not chosen), chosen)
 
 
 def with_steps(context: FitContext, chosen: Fitted) -> tuple[Fitted, list[Fitted]]:

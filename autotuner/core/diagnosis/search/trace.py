@@ -67,6 +67,7 @@ from autotuner.core.diagnosis.search.simplify import (
     with_plain_limit,
     with_plain_play,
     with_plain_step,
+    with_smooth_course,
     with_steps,
 )
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -160,7 +161,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         context.dataset.budget.report(_how_far(context, found[0]))
         following, accepted = _following(context, base, best, found)
         if accepted:
-            following = _from_its_process(context, following, declared)
+            following = with_smooth_course(context, _from_its_process(context, following, declared), effects)
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
@@ -178,7 +179,8 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
-    chosen = with_plain_forms(context, with_plain_drift(context, chosen, effects), effects)
+    chosen = with_smooth_course(context, with_plain_drift(context, chosen, effects), effects)
+    chosen = with_plain_forms(context, chosen, effects)
     chosen, stepped = with_steps(context, chosen)
     pool += stepped
     # Moves that are late by times of their own: where no further move separates the two, both are reported.

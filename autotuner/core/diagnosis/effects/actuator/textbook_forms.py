@@ -1,6 +1,7 @@
 """Effects of the actuator other than friction and limits.
 
     rate_limit           |x'| <= rate,   or -falling rate <= x' <= rate
+                         x' = (u - x)/lag, within -rate and rate: a positioner of limited speed
     output_quantisation  x = origin + step round((u - origin)/step)
     actuator_hold        x takes over u every `period` only
     static_nonlinearity  x = u + c2 u^2 (+ c3 u^3)
@@ -42,6 +43,8 @@ KINKS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 TWICE = math.log(2.0)
 PIECES = 12
 """Steps in which a ramp of the position is written between two samples or moves."""
+ARRIVED, OF_A_LAG = 5.0, 24
+"""Lags after which a position has arrived, with 0.7 % of the way left, and steps in which that is written."""
 
 
 def actuator_effects(
@@ -52,6 +55,7 @@ def actuator_effects(
         *saturations(dataset),
         rate_limit(dataset),
         rate_limit(dataset, unequal=True),
+        positioner(dataset),
         *(quantisation(dataset, form, of_form) for form, of_form in steps.items() if of_form),
         *((updated_every(dataset, grids),) if grids else ()),
         *_curves(dataset),
@@ -108,6 +112,48 @@ def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, 
     times = np.repeat(begins, counts) + (step + 0.5) * np.repeat(durations, counts)
     levels = np.repeat(positions, counts) + (step + 1) * np.repeat(rises, counts)
     return HeldInput(np.append(start_s, times), np.append(0.0, levels))
+
+
+def positioner(dataset: Dataset) -> Effect:
+    """Return an actuator that follows its command like a lag, by a limited rate."""
+    swing, span = dataset.swing, dataset.span_s
+    rate = rate_limit(dataset).searched[0]
+    return Effect(
+        "rate_limit",
+        Place.ACTUATOR,
+        (rate, Searched("log_band", math.log(0.02), math.log(2.0), 1e-3)),
+        [(-math.log(share * span), math.log(band)) for share in (0.003, 0.01, 0.03, 0.1) for band in (0.1, 0.4)],
+        lambda p, _c, _g: {"rate_per_s": math.exp(p[0]) * swing, "lag_s": math.exp(p[1] - p[0])},
+        form="with a lag",
+        position=lambda held, p, _: positioned(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0])),
+        order=2,
+        price=2.0,
+        group="timing",
+    )
+
+
+def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
+    """Return a position that approaches its command like a lag, by so much a second at most, in small steps."""
+    ramps = []  # see `rate_limited`
+    x, arrived_s = 0.0, ARRIVED * lag_s
+    ends = [*held.times[1:].tolist(), math.inf]
+    for t, target, end in zip(held.times.tolist(), held.levels.tolist(), ends, strict=True):
+        way = target - x
+        ramp_s = min(max(abs(way) / rate - lag_s, 0.0), end - t)
+        if ramp_s > 0.0:
+            pieces = math.ceil(PIECES * ramp_s * rate / abs(way))
+            rise = math.copysign(rate, way) * ramp_s / pieces
+            ramps.append((t, x, ramp_s / pieces, rise, pieces))
+            x += rise * pieces
+        left, rest_s = target - x, min(end - t - ramp_s, arrived_s)
+        pieces = max(math.ceil(OF_A_LAG * rest_s / arrived_s), 1)
+        lasts = rest_s / pieces
+        moved = -math.expm1(-lasts / lag_s)
+        for k in range(pieces if left and rest_s > 0.0 else 0):
+            rise = moved * (target - x)
+            ramps.append((t + ramp_s + k * lasts, x, lasts, rise, 1))
+            x += rise
+    return _in_steps(held.times[0], ramps)
 
 
 def quantisation(dataset: Dataset, form: str, steps: Sequence[tuple[float, float]]) -> Effect:

@@ -37,8 +37,10 @@ SETTLING = (0.1, 0.25, 0.6)
 
 
 def gains_in_time(dataset: Dataset) -> tuple[Effect, ...]:
-    """Return the forms."""
-    return _straight(dataset), _settling(dataset), _free(dataset), _jump(dataset)
+    """Return the forms; a free one needs more moves than it has knots, with fewer it follows whatever they meet."""
+    moves = np.count_nonzero(dataset.data.held.times[1:] < dataset.fitted_until_s)
+    free = (_free(dataset),) if moves > KNOTS else ()
+    return _straight(dataset), _settling(dataset), *free, _jump(dataset)
 
 
 def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:
