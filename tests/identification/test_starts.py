@@ -9,8 +9,9 @@ import pytest
 
 import autotuner_sim
 from autotuner.core.estimation import optimiser
-from autotuner.core.estimation.data import data_of
+from autotuner.core.estimation.data import ANY_GAIN, data_of
 from autotuner.core.estimation.initial_guesses import Start, starts_from
+from autotuner.core.estimation.least_squares import candidate_of
 from autotuner.core.estimation.variable_projection import Projection
 from autotuner.core.identification import running_model
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, UnstableFopdt, second_order
@@ -133,3 +134,10 @@ def test_whatever_the_search_tries_is_a_number(structure):
         theta = np.array([*logarithms, 1.3])
         assert np.isfinite(problem.residual(theta)).all()
         assert np.isfinite(problem.jacobian(theta)).all()
+
+
+def test_a_dead_time_longer_than_the_record_is_no_process():
+    t = np.arange(120) * 0.5
+    data = data_of(Recording(t, np.repeat([0.0, 1.0, -1.0, 1.0, 0.0], 24), np.sin(t)))
+    found = optimiser.refine(data, INTEGRATING, ("offset", "state"), Start((5.0,), 70.0, 0.0))
+    assert candidate_of(found, ANY_GAIN, 0, 1e-9) is None

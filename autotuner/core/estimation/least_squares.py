@@ -95,6 +95,8 @@ def freed(candidate: Candidate, prior: GainPrior = ANY_GAIN) -> Candidate | None
 def candidate_of(solution: Solution, prior: GainPrior, spikes: int, floor: float) -> Candidate | None:
     """Return the candidate, or None where it is not a process, or one of the wrong sign: a controller's inverse."""
     problem, theta = solution.problem, solution.theta
+    if not problem.data.weight.any():
+        return None  # the dead time is longer than the record, so that nothing was fitted
     if not prior.allows(solution.gain):
         return None
     shape, delay = problem.split(theta)
