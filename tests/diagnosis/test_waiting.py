@@ -35,12 +35,23 @@ def seen(recording):
     return waiting_of(dataset_of(recording))
 
 
+def searched(recording):
+    context = bench_of(dataset_of(recording))
+    return catalogue(base_of(context, ("offset",), 0).best, context.coarse)
+
+
 def test_the_pv_of_a_valve_that_sticks_waits():
     found = seen(flow_loop(band=1.0))
     assert found.sticks
     assert not found.follows
     # From slip to slip the command travels a band; Kp K = 0.4 of it comes back at once, when the flow answers.
     assert max(found.travels) == pytest.approx(0.6, rel=0.2)
+
+
+@pytest.mark.parametrize(("band", "slow"), [(1.0, False), (0.0, True)])
+def test_the_cycle_of_a_valve_that_sticks_is_no_slow_wave_of_the_surroundings(band, slow):
+    """A few of its periods in a record would be."""
+    assert ("ambient:slow wave" in {effect.key for effect in searched(flow_loop(band))}) is slow
 
 
 @pytest.mark.parametrize("wander", [0.0, 0.03])
@@ -65,9 +76,7 @@ def test_a_pv_that_follows_every_move_has_no_friction(following):
     u, found = following.output, seen(following)
     assert (found.sticks, found.follows) == (False, True)
     assert found.largest_step == pytest.approx(0.08 * np.ptp(u), rel=0.02)
-    context = bench_of(dataset_of(following))
-    searched = catalogue(base_of(context, ("offset",), 0).best, context.coarse)
-    assert not SLIPS & {effect.name for effect in searched}
+    assert not SLIPS & {effect.name for effect in searched(following)}
 
 
 @pytest.mark.long  # the test above shows that friction is not searched for

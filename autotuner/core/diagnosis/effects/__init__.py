@@ -16,6 +16,7 @@ from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag
+from autotuner.core.diagnosis.effects.waves import slow_wave
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.effect_plugins import installed_effects
 
@@ -33,7 +34,8 @@ def catalogue(
 ) -> tuple[Effect, ...]:
     """Return the effects that a recording could show, with starts taken from it.
 
-    A loop whose PV follows every move of the output has no friction in it, whatever fits.
+    A loop whose PV follows every move of the output has no friction in it, whatever fits. Where the PV waits and jumps,
+    a wave of few periods is the cycle of a valve that sticks, and none of the surroundings.
 
     Parameters
     ----------
@@ -47,16 +49,18 @@ def catalogue(
         Further process models: a wave that one of them has absorbed is visible in the residual of another.
     """
     dataset = base.problem.dataset
+    waiting = waiting_of(dataset)
     every = np.arange(dataset.data.t.size)
     residuals = [dataset.data.pv - model.simulated(every) for model in (base, *others)]
     dynamics = declared_effects(dataset, declared) if declared is not None else (third_lag(dataset, base),)
     return (
-        *(() if waiting_of(dataset).follows else friction_effects(dataset)),
+        *(() if waiting.follows else friction_effects(dataset)),
         *actuator_effects(dataset, update_grids(base, rows), step_grids(base, rows)),
         flow_delay(dataset),
         *process_effects(dataset, base),
         *dynamics,
         *disturbance_effects(dataset, residuals, [*jump_moments(base), *(at_s for at_s, _ in dataset.visible_jumps)]),
+        *(() if waiting.sticks else (slow_wave(dataset),)),
         *free_forms(dataset),
         *(effect for plugin in installed_effects().values() for effect in plugin.make(dataset, base)),
     )

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.declared import lagged
-from autotuner.core.diagnosis.effects.waves import periodic_disturbances, slow_wave
+from autotuner.core.diagnosis.effects.waves import periodic_disturbances
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput, accumulate, held_input
@@ -56,7 +56,6 @@ def disturbance_effects(
         *((_bias_step(dataset, jumps),) if jumps else ()),
         *_drifts(dataset),
         *periodic_disturbances(dataset, residuals),
-        slow_wave(dataset),
         *(
             e
             for name, values in dataset.extra.items()
