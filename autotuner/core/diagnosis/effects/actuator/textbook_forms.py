@@ -43,6 +43,8 @@ KINKS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 TWICE = math.log(2.0)
 PIECES = 12
 """Steps in which a ramp of the position is written between two samples or moves."""
+WIDEST_BAND = 0.5
+"""Way to the command, in swings, within which a positioner is not limited: with more, few moves are; it is a lag."""
 ARRIVED, OF_A_LAG = 5.0, 24
 """Lags after which a position has arrived, with 0.7 % of the way left, and steps in which that is written."""
 
@@ -121,7 +123,7 @@ def positioner(dataset: Dataset) -> Effect:
     return Effect(
         "rate_limit",
         Place.ACTUATOR,
-        (rate, Searched("log_band", math.log(0.02), math.log(2.0), 1e-3)),
+        (rate, Searched("log_band", math.log(0.02), math.log(WIDEST_BAND), 1e-3)),
         [(-math.log(share * span), math.log(band)) for share in (0.003, 0.01, 0.03, 0.1) for band in (0.1, 0.4)],
         lambda p, _c, _g: {"rate_per_s": math.exp(p[0]) * swing, "lag_s": math.exp(p[1] - p[0])},
         form="with a lag",
