@@ -233,7 +233,7 @@ def test_a_free_load_is_called_by_its_shape(curve, name):
 
 
 @pytest.mark.parametrize("rests_first", [True, False])
-def test_a_slow_wave_is_named_with_its_period_and_foretold(among, rests_first):
+def test_a_slow_wave_is_named_with_its_period_and_predicts(among, rests_first):
     """A load of three quarters of a period in the record, from rest and from any state."""
     among("ambient", "load_step", "drift")
     output = steps()
@@ -257,7 +257,7 @@ def test_a_wave_that_only_goes_one_way_in_a_record_is_no_slow_wave():
     assert not wave.means((math.log(0.6),), (1.0, 0.0), 1.0, ())
 
 
-def test_a_drift_that_bends_is_named_and_foretold(among):
+def test_a_drift_that_bends_is_named_and_predicts(among):
     among("ambient", "load_step", "drift")
     output, t = steps(), np.arange(float(N))
     states = integrated(lambda x, u, _t: (2.0 * u - x) / 15.0, output, [0.0])

@@ -90,7 +90,7 @@ def test_an_output_of_two_levels_has_no_curve():
 
 
 def test_levels_that_differ_by_rounding_give_no_warning():
-    """They count as many levels, and no polynomial tells them apart."""
+    """They count as many levels, and no polynomial separates them."""
     random = np.random.default_rng(5)
     output = np.repeat([0.0, 1.0], 100) + random.uniform(0.0, 1e-16, 200)
     learned = np.arange(200) % 2 == 0

@@ -11,6 +11,7 @@ thousands of samples has ten changes, and the cost of a response grows with the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ import scipy
 from autotuner.core.model.arrays import FloatArray, IntArray  # noqa: TC001 - part of the public signature
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +51,11 @@ class HeldInput:
     def spans_s(self) -> FloatArray:
         """Time from the change before to each of the times, s; the first is 0."""
         return _less_before(self.times, self.times[0])
+
+    def holds(self) -> Iterator[tuple[float, float, float]]:
+        """Yield the begin and end, s, and the level of each hold; the last one has no end."""
+        begins = self.times.tolist()
+        return zip(begins, [*begins[1:], math.inf], self.levels.tolist(), strict=True)
 
     def at(self, when: FloatArray) -> FloatArray:
         """Return the output at each time of `when`, as deviation from the first; before the start 0."""

@@ -249,12 +249,8 @@ def is_wrong(row: Row, least: float = 0.0) -> bool:
     return bool(wrong and max(row["confidence"], default=0.0) >= least)
 
 
-def is_close(row: Row) -> bool:
-    return bool(row["after"] <= 1.1)
-
-
-def is_close_by_truth(row: Row) -> bool:
-    return bool(row.get("truth", math.nan) <= 1.1)
+def is_close(row: Row, by: str = "after") -> bool:
+    return bool(row.get(by, math.nan) <= 1.1)
 
 
 def has(verdict: str, row: Row) -> bool:
@@ -317,7 +313,7 @@ def summary(rows: list[Row]) -> list[str]:
             f"{title}: {len(part)} visible",
             "  " + ", ".join(f"{name} {percent(part, holds):.1f} %" for name, holds in FIGURES.items()),
             f"  after {np.median(after):.2f} sigmas in the median, 1.1 or less in {percent(part, is_close):.0f} %",
-            f"  the truth itself leaves 1.1 or less in {percent(part, is_close_by_truth):.0f} %",
+            f"  the truth itself leaves 1.1 or less in {percent(part, partial(is_close, by='truth')):.0f} %",
             f"  {np.median(seconds):.1f} s of processor time in the median, {max(seconds):.1f} s at most",
         ]
     explained = [r for r in seen if r["verdict"] == "explained"]

@@ -65,13 +65,19 @@ def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
     )
 
 
+def times_of_approach(shares: FloatArray) -> FloatArray:
+    """Return when a lag has gone some shares of its way, in time constants; all of it after `SETTLED`."""
+    times: FloatArray = -np.log1p(-shares * (1.0 - math.exp(-SETTLED)))
+    return times
+
+
 def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None) -> HeldInput:
     """Return an input after a lag, its exponentials written as small steps about their middle."""
     shares = (np.arange(PIECES) + 0.5) / PIECES
-    approach = -np.log1p(-shares * (1.0 - math.exp(-SETTLED)))
+    approach = times_of_approach(shares)
     times, levels = [held.times[:1]], [np.zeros(1)]
-    x, ends = 0.0, np.append(held.times[1:], np.inf)
-    for start, level, end in zip(held.times.tolist(), held.levels.tolist(), ends.tolist(), strict=True):
+    x = 0.0
+    for start, end, level in held.holds():
         way = level - x
         if way == 0.0:
             continue

@@ -152,7 +152,7 @@ def with_smooth_course(context: FitContext, chosen: Fitted, effects: Sequence[Ef
     Both go on after the fitted part, which a load of free shape does not, and bend, which a late drift does not.
     """
     slow = next((e for e in chosen.problem.effects if e.group == SLOW and e.form), None)
-    if slow is None:
+    if slow is None or context.dataset.budget.spent:
         return chosen
     others = [e for e in chosen.problem.effects if e is not slow]
     courses = [curved_drift(context.dataset), *(e for e in effects if e.form == SLOW_WAVE)]

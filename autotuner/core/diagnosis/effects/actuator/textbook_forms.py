@@ -91,8 +91,7 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -
     """Return a position that moves by so much a second at most, its ramps written as small steps about their middle."""
     ramps = []  # of each: its begin, the position there, and duration, rise and number of its steps
     x = 0.0
-    ends = [*held.times[1:].tolist(), math.inf]
-    for t, target, end in zip(held.times.tolist(), held.levels.tolist(), ends, strict=True):
+    for t, end, target in held.holds():
         way = target - x
         if way == 0.0:
             continue
@@ -118,19 +117,15 @@ def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, 
 
 def positioner(dataset: Dataset) -> Effect:
     """Return an actuator that follows its command like a lag, by a limited rate."""
-    swing, span = dataset.swing, dataset.span_s
-    rate = rate_limit(dataset).searched[0]
-    return Effect(
-        "rate_limit",
-        Place.ACTUATOR,
-        (rate, Searched("log_band", math.log(0.02), math.log(WIDEST_BAND), 1e-3)),
-        [(-math.log(share * span), math.log(band)) for share in (0.003, 0.01, 0.03, 0.1) for band in (0.1, 0.4)],
-        lambda p, _c, _g: {"rate_per_s": math.exp(p[0]) * swing, "lag_s": math.exp(p[1] - p[0])},
+    swing, span, plain = dataset.swing, dataset.span_s, rate_limit(dataset)
+    return replace(
+        plain,
+        searched=(*plain.searched, Searched("log_band", math.log(0.02), math.log(WIDEST_BAND), 1e-3)),
+        starts=[(-math.log(share * span), math.log(band)) for share in (0.003, 0.01, 0.03, 0.1) for band in (0.1, 0.4)],
+        sizes=lambda p, c, g: {**plain.sizes(p[:1], c, g), "lag_s": math.exp(p[1] - p[0])},
         form="with a lag",
         position=lambda held, p, _: positioned(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0])),
-        order=2,
         price=2.0,
-        group="timing",
     )
 
 
@@ -138,8 +133,7 @@ def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
     """Return a position that approaches its command like a lag, by so much a second at most, in small steps."""
     ramps = []  # see `rate_limited`
     x, arrived_s = 0.0, ARRIVED * lag_s
-    ends = [*held.times[1:].tolist(), math.inf]
-    for t, target, end in zip(held.times.tolist(), held.levels.tolist(), ends, strict=True):
+    for t, end, target in held.holds():
         way = target - x
         ramp_s = min(max(abs(way) / rate - lag_s, 0.0), end - t)
         if ramp_s > 0.0:
