@@ -35,11 +35,12 @@ from autotuner.control.clock.real_time import Upkeep
 from autotuner.control.clock.ticker import clock
 from autotuner.control.forced_shutdown import wait_no_more
 from autotuner.control.records.device_lock import acquire, holder
+from autotuner.control.reporting.line_writer import LineWriter
 from autotuner.errors import ConfigurationError
 from autotuner.service.app import create_app
 from autotuner.service.connections import ConnectionMiddleware, Listener, connections_for
 from autotuner.service.errors import ListenError
-from autotuner.service.operations.logs import LogBudget, Writer, formatter, worth_a_line
+from autotuner.service.operations.logs import LogBudget, formatter, worth_a_line
 from autotuner.service.operations.sd_notify import Attendance, ServiceManager
 from autotuner.service.security.loopback import is_loopback
 from autotuner.service.security.tokens import require_protection, tokens_of
@@ -156,13 +157,11 @@ def _alone_in(service: ServiceTable) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _log_from_its_own_thread(kind: str) -> Iterator[None]:
-    """Write the log to standard error; a slow reader holds nothing up."""
-    lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
-    printer, taker, root = logging.StreamHandler(), QueueHandler(lines), logging.getLogger()
-    printer.setFormatter(formatter(kind))
+    """Write the log to standard error; whoever reads it, and whoever does not, holds nothing up."""
+    records: SimpleQueue[logging.LogRecord] = SimpleQueue()
+    writer, taker, root = LineWriter(records, formatter(kind)), QueueHandler(records), logging.getLogger()
     taker.addFilter(worth_a_line)
-    taker.addFilter(LogBudget(clock))
-    writer = Writer(lines, printer)
+    taker.addFilter(LogBudget(clock, records))
     before = root.level
     root.setLevel(logging.INFO)
     root.addHandler(taker)

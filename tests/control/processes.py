@@ -69,9 +69,8 @@ scan_s = 0.05
 
 def spawn(stack, *words, **keys):
     """Start `autotuner ...`; it is killed at the end of the test if it still lives."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "autotuner", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **keys
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **keys}
+    process = subprocess.Popen([sys.executable, "-m", "autotuner", *words], text=True, **streams)
     stack.callback(process.communicate)
     stack.callback(process.kill)
     return process
@@ -114,6 +113,22 @@ def plc_with_plant(stack, folder, *, auto=False, relay="min_periods = 12", gains
 
 
 @contextlib.contextmanager
+def full_pipe():
+    """The writing end of a full pipe that nobody reads: standard error under a supervisor that stands still."""
+    reading, writing = os.pipe()
+    try:
+        os.set_blocking(writing, False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writing, bytes(4096))
+        os.set_blocking(writing, True)
+        yield writing
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+@contextlib.contextmanager
 def port_of_nobody():
     """A port on loopback at which nobody listens, and that nobody else can have meanwhile."""
     with socket.socket() as held:
@@ -131,6 +146,13 @@ def loop_process_of(service):
     """The process that drives the loops of a service that computes nothing: its only child but Python's own tracker."""
     (one,) = [n for n in children_of(service) if b"resource_tracker" not in Path(f"/proc/{n}/cmdline").read_bytes()]
     return one
+
+
+def lives(number):
+    """Whether a process runs; one that has ended may wait for whoever adopted it, without a command line."""
+    with contextlib.suppress(FileNotFoundError):
+        return bool(Path(f"/proc/{number}/cmdline").read_bytes())
+    return False
 
 
 def kill_all(process):

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from autotuner.control.records.lease_record import read_record
-from tests.control.processes import PATIENCE_S, REST, loop_process_of, plc_with_plant, spawn, until
+from tests.control.processes import PATIENCE_S, REST, full_pipe, lives, loop_process_of, plc_with_plant, spawn, until
 
 pytestmark = [
     pytest.mark.realtime,
@@ -27,9 +27,9 @@ QUICK = {"structure": "fopdt", "rule": "simc_pi"}
 def scene(tmp_path):
     """A PLC with a plant, a service that tunes its loop, and a client that looks at the PLC."""
 
-    def start(stack, relay):
+    def start(stack, relay, **streams):
         plc = plc_with_plant(stack, tmp_path, relay=relay)
-        service = spawn(stack, "serve", "--json", "--config", plc.config)
+        service = spawn(stack, "serve", "--json", "--config", plc.config, **streams)
         url = json.loads(service.stdout.readline())["listening"]
         client = stack.enter_context(httpx.Client(base_url=url, timeout=PATIENCE_S))
         return SimpleNamespace(
@@ -42,7 +42,7 @@ def scene(tmp_path):
         )
 
     with ExitStack() as stack:
-        yield lambda relay="min_periods = 12": start(stack, relay)
+        yield lambda relay="min_periods = 12", **streams: start(stack, relay, **streams)
 
 
 def moved(scene):
@@ -109,3 +109,25 @@ def test_sigterm_gives_the_loop_back(scene, first):
     assert scene.service.wait(PATIENCE_S) == 0
     assert at_rest(scene)()
     assert scene.journal.interrupted() == []
+
+
+def test_sigterm_gives_the_loop_back_while_nobody_reads_the_log(scene):
+    with full_pipe() as unread:
+        scene = scene(stderr=unread)
+        until(moved(scene))
+        scene.service.terminate()
+        assert scene.service.wait(PATIENCE_S) == 0
+        assert at_rest(scene)()
+        assert scene.journal.interrupted() == []
+
+
+def test_the_process_ends_with_a_killed_service_while_nobody_reads_the_log(scene):
+    with full_pipe() as unread:
+        scene = scene(stderr=unread)
+        until(moved(scene))
+        process = loop_process_of(scene.service)
+        scene.service.kill()
+        scene.service.wait()
+        until(lambda: not lives(process))
+        assert at_rest(scene)()
+        assert all(kept.restored for kept in scene.journal.interrupted())

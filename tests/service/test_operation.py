@@ -4,7 +4,6 @@ import asyncio
 import json
 import logging
 import re
-from queue import SimpleQueue
 from types import SimpleNamespace
 
 import pytest
@@ -15,7 +14,7 @@ from autotuner.control.reporting.event_log import log_event
 from autotuner.control.reporting.events import Ended, OutputRestored, OutputUnknown, PhaseChanged, SampleTaken
 from autotuner.core.verdict import failed
 from autotuner.errors import LinkError
-from autotuner.service.operations.logs import GATHERED_S, JsonLines, Writer
+from autotuner.service.operations.logs import JsonLines
 from autotuner.service.operations.metrics import Metrics
 from autotuner.service.schemas.operation import Readiness
 
@@ -200,29 +199,3 @@ def test_a_trace_stays_on_its_line(caplog):
     line = JsonLines().format(caplog.records[-1])
     assert "\n" not in line
     assert "ValueError" in json.loads(line)["trace"]
-
-
-class Fed(SimpleQueue):
-    """Seems to be empty when it is looked at `late` times; then everything is there at once."""
-
-    late = 0
-
-    def empty(self):
-        self.late -= 1
-        return self.late >= 0 or super().empty()
-
-
-@pytest.mark.parametrize(("level", "waits"), [(logging.INFO, [GATHERED_S]), (logging.WARNING, [])])
-def test_log_lines_gather_but_for_warnings(level, waits):
-    seen, waited, records = [], [], Fed()
-    printer = logging.Handler()
-    printer.emit = lambda record: seen.append(record.getMessage())
-    writer = Writer(records, printer)
-    writer._ending.wait = waited.append
-    for number in range(20):
-        records.put(logging.LogRecord("here", level, "", 0, f"line {number}", (), None))
-    records.late = 1
-    writer.start()
-    writer.stop()
-    assert seen == [f"line {number}" for number in range(20)]
-    assert waited == waits

@@ -6,6 +6,7 @@ import logging
 import shutil
 import socket
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
@@ -19,7 +20,7 @@ from autotuner.service.connections import (
     connections_for,
 )
 from autotuner.service.errors import OverloadedError, TooManyRequestsError
-from autotuner.service.operations.logs import BURST_BYTES, BYTES_PER_S, LogBudget
+from autotuner.service.operations.logs import BURST_BYTES, BYTES_PER_S, MOST_WAITING, LogBudget
 from autotuner.service.security.access import BODY_GRACE_S
 from autotuner.service.security.limits import Buckets, Places, Thinning, client_of
 from autotuner.service.security.tokens import FILE, Role, Tokens
@@ -204,7 +205,7 @@ def record(name, text="x" * 850):
 
 def test_the_log_grows_by_less_than_a_megabyte_a_minute_and_the_loops_keep_their_part():
     now_s = 0.0
-    budget = LogBudget(lambda: now_s)
+    budget = LogBudget(lambda: now_s, SimpleQueue())
     written = 0
     for step in range(600):
         now_s = 0.1 * step
@@ -212,6 +213,17 @@ def test_the_log_grows_by_less_than_a_megabyte_a_minute_and_the_loops_keep_their
         written += 1000 * sum(budget.filter(record("uvicorn.error")) for _ in range(50))
         assert step % 5 or budget.filter(record("autotuner.control"))
     assert 2 * 60 * BYTES_PER_S - 2000 < written < 2 * (BURST_BYTES + 61 * BYTES_PER_S) < 1e6
+
+
+def test_lines_that_nobody_reads_are_left_out_and_counted(caplog):
+    records = SimpleQueue()
+    budget = LogBudget(lambda: 0.0, records)
+    for _ in range(MOST_WAITING):
+        records.put(record("autotuner.control"))
+    assert not any(budget.filter(record("autotuner.control")) for _ in range(3))
+    records.get()
+    assert budget.filter(record("autotuner.control"))
+    assert "3 lines of the service were left out of the log" in caplog.text
 
 
 @pytest.mark.realtime

@@ -22,12 +22,12 @@ import logging
 import os
 import signal
 import socket
-import sys
 import threading
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from autotuner.control.clock.real_time import PERIOD_S, Upkeep, claim, fine_timers
@@ -53,6 +53,7 @@ from autotuner.control.operations.messages import (
 from autotuner.control.operations.operation import Answering, Station
 from autotuner.control.records.gains_ledger import GainsLedger
 from autotuner.control.records.lease_record import DamagedRecordError, read_record
+from autotuner.control.reporting.line_writer import LineWriter
 from autotuner.core.verdict import aborted
 from autotuner.errors import AutotunerError, ComputationError
 from autotuner.ports import Carried
@@ -254,7 +255,9 @@ class _Host:
             await self._live()
 
     async def _live(self) -> None:
-        loop, taker = asyncio.get_running_loop(), _Taker(asyncio.get_running_loop())
+        loop, records = asyncio.get_running_loop(), SimpleQueue[logging.LogRecord]()
+        taker, writer = _Taker(loop, records), LineWriter(records, logging.Formatter())
+        writer.start()
         self._end.settimeout(0.0)
         loop.add_reader(self._end, self._take)
         loop.add_signal_handler(signal.SIGTERM, self._stop)
@@ -271,6 +274,7 @@ class _Host:
         care.cancel()
         await asyncio.gather(care, return_exceptions=True)
         logging.getLogger().removeHandler(taker)
+        writer.stop()
 
     def _take(self) -> None:
         try:
@@ -337,6 +341,7 @@ class _Host:
 
         station = await serve(order, backend, wire, journal, begun)
         if station.alone:
+            _wire_here.set(None)
             _report_end(order)
 
     async def _others(self, loop: str, this: asyncio.Task[None]) -> None:
@@ -346,28 +351,37 @@ class _Host:
 
 
 def _report_end(order: Order) -> None:
-    """Write to standard error how the loop of a lost front was released: the log has no other reader."""
+    """Log how the loop of a lost front was released."""
     if order.journal is None:
         return
     with contextlib.suppress(OSError, DamagedRecordError):
         kept = read_record(order.journal.store(), order.journal.name)
         if kept.restored and kept.verdict is None:
             what = kept.released or RESTORED
-            sys.stderr.write(f"{kept.kind} of loop {order.loop}: {kept.why}; {what}\n")
+            _log.warning("%s of loop %s: %s; %s", kept.kind, order.loop, kept.why, what)
 
 
 class _Taker(logging.Handler):
-    """Gives lines of the log to the front of the operation that they are of, from any thread."""
+    """Gives lines of the log to the front of the operation that they are of, from any thread; others are written here.
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    Parameters
+    ----------
+    loop : AbstractEventLoop
+        That of the process.
+    records : SimpleQueue
+        What is written here.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, records: SimpleQueue[logging.LogRecord]) -> None:
         super().__init__()
-        self._loop = loop
+        self._loop, self._records = loop, records
 
     def emit(self, record: logging.LogRecord) -> None:
-        logged = Logged(record.name, record.levelno, self.format(record))
         if (wire := _wire_here.get()) is None:
-            sys.stderr.write(logged.text + "\n")
-        elif threading.current_thread() is threading.main_thread():
+            self._records.put(record)
+            return
+        logged = Logged(record.name, record.levelno, self.format(record))
+        if threading.current_thread() is threading.main_thread():
             wire.send(logged)
         else:
             with contextlib.suppress(RuntimeError):  # the event loop has ended

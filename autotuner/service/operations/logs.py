@@ -6,18 +6,17 @@
 Invariants:
 
 1. The subjects of a line (`ABOUT`) are separate fields, so that the lines of one tuning can be found.
-2. A separate thread writes lines in batches of `GATHERED_S`: a thread that wakes for each line
-   needs the interpreter's lock two hundred times a second, when samples are due.
+2. Lines that nobody reads are not gathered without end: at `MOST_WAITING` they are left out, and counted.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import threading
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from logging.handlers import QueueListener
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -40,8 +39,8 @@ BURST_BYTES = 64 * 1024.0
 """Budget of a source at once."""
 LINE_BYTES, TRACE_BYTES = 150, 4000
 """Approximate size of a line besides its message, and of a traceback, bytes."""
-GATHERED_S = 0.1
-"""Longest time from an event to its line, s."""
+MOST_WAITING = 10_000
+"""Records that wait for their line, at most: some megabytes."""
 
 
 def worth_a_line(record: logging.LogRecord) -> bool:
@@ -59,11 +58,13 @@ class LogBudget(logging.Filter):
     ----------
     clock : callable
         Returns the time, s.
+    records : SimpleQueue
+        Where they wait for their line.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], records: SimpleQueue[logging.LogRecord]) -> None:
         super().__init__()
-        self._clock = clock
+        self._clock, self._records = clock, records
         self._lock = threading.Lock()
         now_s = clock()
         self._sources = {source: _Source(now_s) for source in (*SOURCES, "")}
@@ -71,7 +72,9 @@ class LogBudget(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether a record is written; before the first after others that were not, log how many were not."""
         name = next((source for source in SOURCES if record.name.startswith(source)), "")
-        size = LINE_BYTES + len(record.getMessage()) + (TRACE_BYTES if record.exc_info else 0)
+        size: float = LINE_BYTES + len(record.getMessage()) + (TRACE_BYTES if record.exc_info else 0)
+        if self._records.qsize() >= MOST_WAITING:
+            size = math.inf
         with self._lock:
             left_out = self._sources[name].take(size, self._clock())
         if left_out:
@@ -87,7 +90,7 @@ class _Source:
     left: float = BURST_BYTES
     left_out: int = 0
 
-    def take(self, size: int, now_s: float) -> int | None:
+    def take(self, size: float, now_s: float) -> int | None:
         """Take a record out of the budget; return how many were left out before it, None for one that is itself."""
         self.left = min(BURST_BYTES, self.left + (now_s - self.then_s) * BYTES_PER_S)
         self.then_s = now_s
@@ -119,33 +122,3 @@ class JsonLines(logging.Formatter):
 def formatter(kind: str) -> logging.Formatter:
     """Return the formatter of a record; `kind` is ``text`` or ``json``."""
     return JsonLines() if kind == "json" else logging.Formatter(TEXT)
-
-
-class Writer(QueueListener):
-    """Writes the records of a queue in its own thread.
-
-    Parameters
-    ----------
-    records : SimpleQueue
-        What is to be written; None ends it.
-    printer : Handler
-        Writes.
-    """
-
-    def __init__(self, records: SimpleQueue[logging.LogRecord], printer: logging.Handler) -> None:
-        super().__init__(records, printer)
-        self._records = records
-        self._ending = threading.Event()
-
-    def dequeue(self, block: bool) -> logging.LogRecord:  # noqa: FBT001 - the library calls it so
-        """Return the next record; where there was none, after more have gathered."""
-        first = self._records.empty()
-        record = self._records.get(block)
-        if first and getattr(record, "levelno", logging.WARNING) < logging.WARNING:
-            self._ending.wait(GATHERED_S)
-        return record
-
-    def stop(self) -> None:
-        """Write the remaining lines, and end."""
-        self._ending.set()
-        super().stop()
