@@ -188,6 +188,37 @@ def test_harmonics_are_those_of_a_wave_of_three():
     assert left(with_effect(recording, LAG, "periodic_disturbance", (math.log(SPAN_S / 30.0),))) > 0.02
 
 
+@pytest.mark.parametrize("size", [2.0, -1.5])
+def test_a_sawtooth_begins_from_the_jumps_of_a_residual_and_keeps_them(size):
+    """Its ends are straight lines; where the numbers move by less than a sample, no jump crosses one."""
+    t = np.arange(300.0)
+    wave = size * scipy.signal.sawtooth(2.0 * np.pi * (t - 7.3) / 30.7)
+    alone = record(LAG, moves())
+    recording = Recording(t, alone.output, alone.pv + wave)
+    dataset = dataset_of(recording)
+    residual = wave + np.random.default_rng(1).normal(0.0, 0.05, t.size)
+    effect = next(e for e in disturbance_effects(dataset, [residual], []) if e.form == "sawtooth")
+    ((jump_s, period_s),) = effect.starts
+    assert period_s == pytest.approx(30.7, abs=0.1)
+    assert (jump_s - 7.3 + 15.0) % 30.7 - 15.0 == pytest.approx(0.0, abs=0.6)
+    turns = round((jump_s - 7.3) / 30.7)
+    fitted = at_the_truth(recording, LAG, (effect, (7.3 + turns * 30.7, 30.7)))
+    assert left(fitted) < 1e-9
+    assert fitted.sizes() == [pytest.approx({"period_s": 30.7, "amplitude": abs(size)})]
+
+
+@pytest.mark.parametrize("irregular", [0.0, 4.0])
+def test_jumps_at_unequal_distances_or_of_both_signs_are_no_sawtooth(irregular):
+    t = np.arange(300.0)
+    alone = record(LAG, moves())
+    at_s = np.arange(5.5, 300.0, 20.0) + irregular * np.random.default_rng(2).uniform(-1.0, 1.0, 15)
+    steps = np.searchsorted(at_s, t).astype(float)
+    wave = (steps % 2.0) if irregular == 0.0 else steps - t / 20.0
+    dataset = dataset_of(Recording(t, alone.output, alone.pv + wave))
+    residual = wave + np.random.default_rng(1).normal(0.0, 0.02, t.size)
+    assert all(e.form != "sawtooth" for e in disturbance_effects(dataset, [residual], []))
+
+
 def test_a_wave_that_grows_has_its_amplitude_at_the_end():
     t = np.arange(300.0)
     alone = record(LAG, moves())

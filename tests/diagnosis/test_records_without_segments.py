@@ -132,6 +132,17 @@ def test_a_wave_that_one_process_has_taken_up_is_named(among):
     assert answer.effects[0].parameters["amplitude"] == pytest.approx(6.0, rel=0.05)
 
 
+def test_a_sawtooth_is_named(among):
+    among("periodic_disturbance", "ambient", "load_step")
+    output = levels(np.random.default_rng(8), 600, 15, 60)
+    t = np.arange(output.size)
+    answer = diagnose(recorded(output, integrated(output, straight) + 5.0 * ((t / 41.3 + 0.37) % 1.0)))
+    assert [(e.name, e.form) for e in answer.effects] == [("periodic_disturbance", "sawtooth")]
+    assert answer.verdict == "explained"
+    assert answer.effects[0].parameters["period_s"] == pytest.approx(41.3, rel=1e-3)
+    assert answer.effects[0].parameters["amplitude"] == pytest.approx(2.5, rel=0.01)
+
+
 @pytest.mark.long  # the wave above shows the search
 def test_a_wave_that_begins_within_the_record_is_named(among):
     among("periodic_disturbance", "ambient", "load_step")

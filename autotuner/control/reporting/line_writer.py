@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from queue import SimpleQueue
 
+STANDARD_ERROR = 2
+"""Descriptor of standard error, by POSIX."""
 GATHERED_S = 0.1
 """Longest time from an event to its line, s."""
 LAST_LINES_S = 2.0
@@ -45,7 +47,7 @@ class LineWriter(QueueListener):
     ) -> None:
         super().__init__(records)
         self._records, self._formatter = records, formatter
-        self._descriptor = sys.stderr.fileno() if descriptor is None else descriptor
+        self._descriptor = _standard_error() if descriptor is None else descriptor
         self._ending = threading.Event()
 
     def dequeue(self, block: bool) -> logging.LogRecord:  # noqa: FBT001 - the library calls it so
@@ -69,3 +71,11 @@ class LineWriter(QueueListener):
         ending = threading.Thread(target=super().stop, name="log-end", daemon=True)
         ending.start()
         ending.join(LAST_LINES_S)
+
+
+def _standard_error() -> int:
+    """Return the file of standard error; that of the process, where a program has put another object in its place."""
+    try:
+        return sys.stderr.fileno()
+    except OSError:
+        return STANDARD_ERROR
