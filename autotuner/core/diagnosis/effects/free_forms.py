@@ -14,6 +14,7 @@ Guide to Splines, 2001.)
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -177,7 +178,11 @@ def _pulse(dataset: Dataset) -> Effect:
     def shape(begins: float, lasts: float) -> _Held:
         return np.array([0.0, begins, begins + lasts]), np.array([0.0, 1.0, 0.0])
 
-    return _lasting_load(dataset, "ends again", "lasts_s", shape)
+    def means(p: Sequence[float], _c: Sequence[float], _gain: float, _shape: Sequence[float]) -> bool:
+        # The response to a move does not end, unless with the next one.
+        return any(by_chance(dataset, share * dataset.span_s) for share in (p[0], p[0] + p[1]))
+
+    return replace(_lasting_load(dataset, "ends again", "lasts_s", shape), means=means)
 
 
 def _ramp(dataset: Dataset) -> Effect:

@@ -4,6 +4,7 @@ pair of lags -> one lag      form of friction with two numbers -> plain play
 kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
 load that ramps as long as the record shows -> straight drift
+two changes at a time each, of which the later one takes the first back -> load or reading that comes and goes
 load of free shape, late drift -> drift along a cubic, slow wave
 curve of an actuator that stands at a few levels -> steps
 form of an effect whose further numbers say nothing -> its plain form
@@ -31,7 +32,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import FINE_STEPS, alone_beside
+from autotuner.core.diagnosis.search.search import FINE_STEPS, alone_beside, without
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -55,6 +56,10 @@ MUCH_LARGER = 1.4
 """Ratio of the errors on the part not fitted from which the plainer explanation fails there: twice the squares."""
 RAMP = "load_step:ramp"
 """The effect that a straight drift may replace."""
+CHANGES, PAIR = frozenset({"load_step", "bias_step", "drift"}), 2
+"""Effects that change something at one time, and the number of them that one which comes and goes may replace."""
+PULSES = frozenset({"ends again", "there and back"})
+"""Forms that come and go."""
 SLOW = "slow"
 """Group of the effects that follow a course of time."""
 CURVES = frozenset({"static_nonlinearity", "direction_gain", "saturation"})
@@ -144,6 +149,28 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     if ramp is None or drift is None or not fits_beside(drift, others):
         return chosen
     return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
+
+
+def with_one_pulse(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with a load, or an error of the reading, that comes and goes in place of two changes."""
+    timed = [
+        (e, sizes.get("at_s", sizes.get("from_s")))
+        for e, sizes in zip(chosen.problem.effects, chosen.sizes(), strict=True)
+        if e.name in CHANGES and e.form not in PULSES
+    ]
+    known = sorted(((at_s, e) for e, at_s in timed if at_s is not None), key=lambda change: change[0])
+    if len(known) != PAIR or context.dataset.budget.spent:
+        return chosen
+    (begins_s, first), (ends_s, second) = known
+    begins, lasts = begins_s / context.dataset.span_s, (ends_s - begins_s) / context.dataset.span_s
+    others = [e for e in chosen.problem.effects if e not in {first, second}]
+    one = without(context, chosen, second)
+    tried = [
+        _exchanged(one, first, pulse, (begins, lasts))
+        for pulse in effects
+        if pulse.form in PULSES and fits_beside(pulse, others)
+    ]
+    return _plainer(context, chosen, closest_first(tried)[0]) if tried else chosen
 
 
 def with_smooth_course(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

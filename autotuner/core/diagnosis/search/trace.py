@@ -61,6 +61,7 @@ from autotuner.core.diagnosis.search.search import (
 from autotuner.core.diagnosis.search.simplify import (
     simplest,
     with_best_moment,
+    with_one_pulse,
     with_own_shapes,
     with_plain_drift,
     with_plain_forms,
@@ -176,7 +177,8 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
     pool += [*curved, *late]
     dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
-    chosen = with_plain_play(context, better_of(context, [dropped, *as_many]), effects)
+    chosen = with_one_pulse(context, better_of(context, [dropped, *as_many]), effects)
+    chosen = with_plain_play(context, chosen, effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
     chosen = with_smooth_course(context, with_plain_drift(context, chosen, effects), effects)
