@@ -28,6 +28,9 @@ def found(name, interval95=None, **sizes):
         (found("rate_limit", rate_per_s=0.5), {}),
         (found("rate_limit", rate_per_s=0.5, lag_s=0.4), {"D": 1.9}),
         (found("flow_delay", flow_per_output=0.05, longest_over_first=1.6), {"D": 2.4}),
+        (found("dead_time_jump", at_s=100.0, later_over_first=1.6), {"D": 2.4}),
+        (found("dead_time_jump", at_s=100.0, later_over_first=0.6), {}),
+        (found("sensor_hysteresis", width=0.6), {}),
     ],
 )
 def test_what_acts_in_the_loop_is_counted(effect, changed):

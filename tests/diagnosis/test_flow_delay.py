@@ -1,4 +1,7 @@
-"""A dead time that depends on the flow, against closed forms, root finding, and records that were made without ours."""
+"""A dead time that depends on the flow, or jumps.
+
+The judges are closed forms, root finding, and records that were made without ours.
+"""
 
 from dataclasses import replace
 
@@ -7,7 +10,12 @@ import pytest
 import scipy
 
 from autotuner import Recording, diagnose
-from autotuner.core.diagnosis.effects.actuator.flow_delay import carried, flow_delay
+from autotuner.core.diagnosis.effects.actuator.flow_delay import (
+    carried,
+    carried_since,
+    dead_time_jump,
+    flow_delay,
+)
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.effects import EffectPlugin, check_effect
 from autotuner_sim import PlugFlow
@@ -95,3 +103,53 @@ def test_it_is_named_on_a_record_of_steps():
     assert [effect.name for effect in found.effects] == ["flow_delay"]
     assert found.effects[0].parameters["flow_per_output"] == pytest.approx(0.07, rel=0.05)
     assert pytest.approx(8.0, rel=0.03) == found.process.D
+
+
+@pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
+def test_a_dead_time_that_jumps_is_that_of_a_pipe_whose_flow_jumps(ratio):
+    """By root finding, as above: the flow over (t - L, t) is the volume of the pipe, here 9 s at the first flow."""
+    random = np.random.default_rng(5)
+    at = np.cumsum(random.uniform(1.0, 6.0, 30))
+    held, at_s = HeldInput(np.append(0.0, at), np.arange(31.0)), 50.0
+
+    def passed(t):
+        return min(t, at_s) + max(t - at_s, 0.0) / ratio
+
+    arrived = carried_since(held, at_s, ratio, 9.0)
+    assert np.all(np.diff(arrived.times) > 0.0)
+    for t in random.uniform(15.0, at[-1], 40):
+        lag = scipy.optimize.brentq(lambda L, t=t: passed(t) - passed(t - L) - 9.0, 0.0, 60.0, xtol=1e-10)
+        source = np.searchsorted(held.times, t - lag, side="right") - 1
+        assert np.searchsorted(arrived.times + 9.0, t, side="right") - 1 == source
+
+
+@pytest.mark.parametrize("ratio", [0.5, 2.0])
+def test_a_dead_time_that_jumps_is_named(ratio, among):
+    """A lag of 12 s behind a shift register whose clock changes at 400 s, by Euler's method."""
+    among("dead_time_jump", "flow_delay", "actuator_hold", "extra_lag")
+    random = np.random.default_rng(7)
+    output = np.repeat(random.uniform(-8.0, 8.0, 50), 15)
+    output[:20] = 0.0
+    h, pv, x, turns = 0.02, [], 0.0, 0.0
+    register = [0.0] * 300
+    for k, u in enumerate(output.tolist()):
+        pv.append(2.0 * x)
+        for _ in range(round(1.0 / h)):
+            turns += 1.0 / (ratio if k >= 400 else 1.0)
+            while turns >= 1.0:
+                register, turns = [*register[1:], u], turns - 1.0
+            x += h / 12.0 * (register[0] - x)
+    noise = random.normal(0.0, 0.05, output.size)
+    found = diagnose(Recording(np.arange(float(output.size)), 40.0 + output, 60.0 + np.array(pv) + noise))
+    (effect,) = found.effects
+    assert (effect.name, found.verdict) == ("dead_time_jump", "explained")
+    assert effect.parameters["later_over_first"] == pytest.approx(ratio, rel=0.05)
+    assert effect.parameters["at_s"] == pytest.approx(400.0, abs=15.0)
+    assert pytest.approx(6.0, rel=0.03) == found.process.D
+
+
+def test_a_dead_time_that_jumps_conforms():
+    def make(dataset, _base):
+        return [replace(dead_time_jump(dataset), name="line")]
+
+    assert check_effect(EffectPlugin("line", make, "{later_over_first:.3g} times")) == []

@@ -139,6 +139,27 @@ class Hold:
         return self.at
 
 
+class Switch:
+    """On for a share of each period: of its first command, or as long as the command is above a rising carrier."""
+
+    def __init__(self, period: float, *, latched: bool) -> None:
+        self.period, self.latched, self.turn, self.share = period, latched, -1, 0.0
+
+    def move(self, u: float, t: float, h: float) -> float:
+        """Return the mean of a step: a pulse may begin or end within it."""
+        on = self._on(t, h)
+        turn = math.floor((t + h) / self.period + 1e-9)
+        if turn > self.turn or not self.latched:
+            new = turn > self.turn
+            self.turn, self.share = turn, u / 100.0
+            on = on + self._on(t, h) if new else self._on(t, h)
+        return 100.0 * on / h
+
+    def _on(self, t: float, h: float) -> float:
+        begins = self.turn * self.period
+        return max(min(t + h, begins + self.share * self.period) - max(t, begins), 0.0)
+
+
 class Lags:
     def __init__(self, up_s: float, down_s: float) -> None:
         self.up, self.down, self.at = up_s, down_s, REST
@@ -529,19 +550,66 @@ def jitter(_d: Draw) -> Hidden:
 @form("flow_delay", "pipe", textbook=True)
 def pipe(d: Draw) -> Hidden:
     c = d.between(0.35, 0.6) / d.swing
-    return replace(piped(d.plant, d.plant.D, lambda v: 1.0 + c * v), sizes={"flow_per_output": c})
+    return replace(piped(d.plant, d.plant.D, lambda v, _t: 1.0 + c * v), sizes={"flow_per_output": c})
 
 
 @form("flow_delay", "pipe behind a curve", textbook=False)
 def pipe_behind_a_curve(d: Draw) -> Hidden:
     n = d.between(1.5, 2.5)
-    return piped(d.plant, d.between(0.6, 0.9) * d.plant.D, lambda v: max(1.0 + v / REST, 0.0) ** n)
+    return piped(d.plant, d.between(0.6, 0.9) * d.plant.D, lambda v, _t: max(1.0 + v / REST, 0.0) ** n)
 
 
-def piped(plant: Plant, volume: float, flow: Callable[[float], float]) -> Hidden:
+@form("dead_time_jump", "at once", textbook=True)
+def flow_that_changes(d: Draw) -> Hidden:
+    r, at = d.between(1.6, 2.6) ** d.either(), d.between(0.2, 0.5) * d.span_s
+    plain = piped(d.plant, d.plant.D, lambda _v, t: 1.0 / r if t >= at else 1.0)
+    return replace(plain, sizes={"later_over_first": r, "at_s": at})
+
+
+@form("dead_time_jump", "within a while", textbook=False)
+def flow_that_fades(d: Draw) -> Hidden:
+    r, at, lasts = d.between(1.8, 2.8), d.between(0.2, 0.4) * d.span_s, 0.1 * d.span_s
+    return piped(d.plant, d.plant.D, lambda _v, t: 1.0 / (1.0 + (r - 1.0) * min(max((t - at) / lasts, 0.0), 1.0)))
+
+
+@form("time_proportioning", "latched", textbook=True)
+def latched_pulses(d: Draw) -> Hidden:
+    every = d.between(0.3, 0.8) * d.slow_s
+    return Hidden(actuator=Switch(every, latched=True), sizes={"period_s": every})
+
+
+@form("time_proportioning", "carrier", textbook=False)
+def pulses_by_a_carrier(d: Draw) -> Hidden:
+    return Hidden(actuator=Switch(d.between(0.3, 0.6) * d.slow_s, latched=False))
+
+
+@form("sensor_hysteresis", "play", textbook=True)
+def play_of_the_sensor(d: Draw) -> Hidden:
+    w = d.between(0.1, 0.3) * d.motion
+    return Hidden(gauge=gauge(w, 0.0), sizes={"width": w})
+
+
+@form("sensor_hysteresis", "creeping", textbook=False)
+def play_that_creeps(d: Draw) -> Hidden:
+    return Hidden(gauge=gauge(d.between(0.15, 0.35) * d.motion, d.between(0.005, 0.02)))
+
+
+def gauge(width: float, creep: float) -> Callable[[float], float]:
+    """Return a reading with play about the PV, within which it creeps by a share of the way each sample."""
+    last = 0.0
+
+    def f(pv: float) -> float:
+        nonlocal last
+        last = max(pv - width / 2.0, min(pv + width / 2.0, last + creep * (pv - last)))
+        return last
+
+    return f
+
+
+def piped(plant: Plant, volume: float, flow: Callable[[float, float], float]) -> Hidden:
     """Return the plant with a part of its dead time in a pipe, whose flow stays above an eighth of that at rest."""
     rest = replace(plant, D=plant.D - volume)
-    return Hidden(plant=rest, pipe=Pipe(volume, lambda v: max(flow(v), 0.125)))
+    return Hidden(plant=rest, pipe=Pipe(volume, lambda v, t: max(flow(v, t), 0.125)))
 
 
 ALIKE: dict[str, frozenset[str]] = {

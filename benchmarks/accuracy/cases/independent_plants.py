@@ -83,14 +83,15 @@ class Straight:
 
 
 class Pipe:
-    """A pipe of some volume, filled with what the actuator stood at when it came in."""
+    """A pipe of some volume, filled with what the actuator stood at when it came in; its flow by that, and by time."""
 
-    def __init__(self, volume: float, flow: Callable[[float], float]) -> None:
-        self.flow, self.slugs = flow, deque([(volume, 0.0)])
+    def __init__(self, volume: float, flow: Callable[[float, float], float]) -> None:
+        self.flow, self.slugs, self.t = flow, deque([(volume, 0.0)]), 0.0
 
     def move(self, position: float, h: float) -> float:
         """Return the mean of what leaves over `h` seconds."""
-        wanted = h * self.flow(position)
+        wanted = h * self.flow(position, self.t)
+        self.t += h
         self.slugs.append((wanted, position))
         left, carried = wanted, 0.0
         while left > 0.0:
@@ -114,6 +115,8 @@ class Hidden:
     offset: Callable[[float], float] = lambda _t: 0.0
     plant: Plant | None = None
     pipe: Pipe | None = None
+    gauge: Callable[[float], float] = lambda pv: pv
+    """The reading of a PV, before the noise; called once a sample."""
     sensor: Callable[[Array, np.random.Generator], Array] | None = None
     jitter_samples: float = 0.0
     sizes: dict[str, float] = field(default_factory=dict)
@@ -174,7 +177,7 @@ def run(
     reading = pv0 + noise[0]
     for k in range(n):
         t = k * dt
-        clean = p.measured(x) + hidden.offset(t)
+        clean = hidden.gauge(p.measured(x)) + hidden.offset(t)
         late = clean
         if shift[k] < 0.0:
             back = -shift[k]

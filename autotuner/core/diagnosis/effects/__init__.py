@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator.flow_delay import flow_delay
+from autotuner.core.diagnosis.effects.actuator.flow_delay import dead_time_jump, flow_delay
 from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
 from autotuner.core.diagnosis.effects.actuator.levels import step_grids
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_effects
+from autotuner.core.diagnosis.effects.actuator.time_proportioning import time_proportioning
 from autotuner.core.diagnosis.effects.actuator.update_jitter import update_grids
 from autotuner.core.diagnosis.effects.declared import declared_effects
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag
+from autotuner.core.diagnosis.effects.sensor_hysteresis import sensor_hysteresis
 from autotuner.core.diagnosis.effects.waves import slow_wave
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.effect_plugins import installed_effects
@@ -56,11 +58,14 @@ def catalogue(
     return (
         *(() if waiting.follows else friction_effects(dataset)),
         *actuator_effects(dataset, update_grids(base, rows), step_grids(base, rows)),
+        *time_proportioning(dataset, residuals),
         flow_delay(dataset),
+        dead_time_jump(dataset),
         *process_effects(dataset, base),
         *dynamics,
         *disturbance_effects(dataset, residuals, [*jump_moments(base), *(at_s for at_s, _ in dataset.visible_jumps)]),
         *(() if waiting.sticks else (slow_wave(dataset),)),
+        sensor_hysteresis(dataset),
         *free_forms(dataset),
         *(effect for plugin in installed_effects().values() for effect in plugin.make(dataset, base)),
     )

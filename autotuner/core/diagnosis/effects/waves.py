@@ -19,6 +19,8 @@ from scipy.optimize import linprog
 
 from autotuner.core.diagnosis.effects.free_forms import shape_of
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.estimation.linear_least_squares import residual_after
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
@@ -263,6 +265,15 @@ def _periods(dataset: Dataset) -> Searched:
 def _price(dataset: Dataset) -> float:
     """Return the price of a period: as many are tried as the record can show."""
     return math.log(max(_most_periods(dataset), 2.0))
+
+
+def share_of_wave(dataset: Dataset, signal: FloatArray, line: float) -> float:
+    """Return the share of a signal's variance about a straight line, on the fitted part, that a wave explains."""
+    t, signal = dataset.data.t[dataset.fitted], signal[dataset.fitted]
+    angle = 2.0 * math.pi * line / dataset.span_s * t
+    straight = residual_after(np.column_stack((np.ones(t.size), t)), signal)
+    left = residual_after(np.column_stack((np.ones(t.size), t, np.cos(angle), np.sin(angle))), signal)
+    return 1.0 - float(left @ left) / max(float(straight @ straight), SMALLEST_DIVISOR)
 
 
 def lines_of_all(dataset: Dataset, residuals: Sequence[FloatArray]) -> list[float]:

@@ -158,7 +158,7 @@ class Extended:
 def _with_loads(held: HeldInput, loads: Sequence[HeldInput], delay_s: float) -> HeldInput:
     """Return an input with loads that the dead time does not hold up: those at the start precede the first output."""
     early = [load.shifted(np.array(-delay_s)) for load in loads]
-    first = min(0.0, *(float(load.times[1:].min(initial=0.0)) for load in early))
+    first = min(float(held.times[0]), *(float(load.times[1:].min(initial=0.0)) for load in early))
     times = np.unique(np.concatenate([[first], held.times, *(load.times[1:] for load in early)]))
     level = held.at(times)
     for load in early:
@@ -303,9 +303,11 @@ def without_rounding(
     return [given[k] for _, _, k in sorted(keys)]
 
 
-def apart(order: Iterable[int], distance: Callable[[int, int], float], least: float, most: int) -> list[int]:
+def apart(
+    order: Iterable[Ranked], distance: Callable[[Ranked, Ranked], float], least: float, most: int
+) -> list[Ranked]:
     """Return the first of an order that are at least so far from each other, `most` at most."""
-    found: list[int] = []
+    found: list[Ranked] = []
     for k in order:
         if all(distance(k, other) >= least for other in found):
             found.append(k)

@@ -22,6 +22,8 @@ REMEDIES: dict[str, str] = {
     "converter or positioner ends it",
     "actuator_hold": "the actuator takes over its command every {period_s:.3g} s only: half of that is dead time; "
     "shorten the update, or tune with it",
+    "time_proportioning": "the output is switched on and off with a period of {period_s:.3g} s: half of that is dead "
+    "time, and the PV has its ripple; shorten the period, or tune with it",
     "static_nonlinearity": "the gain depends on the position of the actuator: linearise the valve or heater "
     "characteristic, or schedule the gains by the output",
     "direction_gain": "the gain above the rest is {ratio:.3g} times the one below: use two sets of gains (heating and "
@@ -29,6 +31,8 @@ REMEDIES: dict[str, str] = {
     "direction_dynamics": "it rises {rise_over_fall:.3g} times as fast as it falls: tune for the faster direction",
     "flow_delay": "the dead time depends on the flow: up to {longest_over_first:.3g} times that at the first flow; "
     "tune for the longest one, or schedule the gains by the flow",
+    "dead_time_jump": "the dead time became {later_over_first:.3g} times that of before at {at_s:.4g} s of the record: "
+    "find what changed the flow or the line; tune for the longer one",
     "extra_lag": "a further lag of {time_constant_s:.3g} s is in the loop: check sensor well and filter; use the "
     "gains of the extended model",
     "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model, "
@@ -52,6 +56,8 @@ REMEDIES: dict[str, str] = {
     "measured_disturbance": "a measured disturbance acts on the PV: use it for feed-forward",
     "sensor_quantisation": "the sensor knows steps of {step:.3g} only: filter before derivative action, or take "
     "a finer range of the converter",
+    "sensor_hysteresis": "the reading stands still for {width:.3g} after each reversal of the PV: free the float or "
+    "the linkage of the sensor; no gains cure the cycle that integral action makes of it",
     "bias_step": "the reading jumped by {size:.3g} at {at_s:.4g} s of the record: check the sensor and its connections",
     "outliers": "single readings are far off: check the wiring, shielding and the converter; filter by a median",
     "timing_jitter": "samples are taken up to {spread_s:.3g} s beside their time stamps: stamp them when read",

@@ -4,8 +4,10 @@
     direction_dynamics   K <- K max(1, rise_over_fall)    the direction in which it moves faster
                          D <- D + the larger of its two lags
     actuator_hold        D <- D + period/2
+    time_proportioning   D <- D + period/2
     rate_limit           D <- D + the lag of its positioner
     flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
+    dead_time_jump       D <- D max(1, later_over_first)  the longer of two dead times
     extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
     inverse_response     G <- G (1 - Z s)
     slow_mode            omitted, where its slow mode is small at the crossover of a loop; else refused
@@ -47,12 +49,13 @@ STRONGER = {"direction_gain": "ratio", "direction_dynamics": "rise_over_fall"}
 """Effects under which one direction has the larger gain, and the size that states by how much."""
 LATER = {
     "actuator_hold": {"period_s": 0.5},
+    "time_proportioning": {"period_s": 0.5},
     "direction_dynamics": {"rising_lag_s": 1.0, "falling_lag_s": 1.0},
     "rate_limit": {"lag_s": 1.0},
 }
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
-FLOW = "flow_delay"
-"""Effect under which the dead time is not always the same; `longest_over_first` is how much longer it becomes."""
+LONGER = {"flow_delay": "longest_over_first", "dead_time_jump": "later_over_first"}
+"""Effects under which the dead time is not always the same, and the size that states how much longer it becomes."""
 ZERO, SLOW_MODE, LAG = "inverse_response", "slow_mode", "extra_lag"
 SMALL = 0.5
 """Ratio of the slow mode's response to the process's at crossover, from which the process alone is insufficient."""
@@ -105,11 +108,13 @@ def controller_view(
         return None
     stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
     later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
-    longest = max((e.parameters["longest_over_first"] for e in effects if e.name == FLOW), default=1.0)
+    longest = max((e.parameters[LONGER[e.name]] for e in effects if e.name in LONGER), default=1.0)
     view = _times(
         ControllerView(process, covariance), "K", stronger, "its gain is the larger one, {:.3g} times the other"
     )
-    view = _times(view, "D", longest, "its dead time is that at the lowest flow, {:.3g} times the first one")
+    view = _times(
+        view, "D", max(longest, 1.0), "its dead time is the longest of the record, {:.3g} times the first one"
+    )
     view = _with_dead_time(view, later_s)
     for effect in effects:
         view = _with_lag(view, effect) if effect.name == LAG else view

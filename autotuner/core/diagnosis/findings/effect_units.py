@@ -8,7 +8,7 @@ from __future__ import annotations
 OUTPUT, PV = "output", "PV"
 UNITS: dict[str, str] = {
     **dict.fromkeys(
-        ("width", "band", "jump", "change_over_swing", "no_flow_at", "coulomb", "constant", "low", "high", "range"),
+        ("band", "jump", "change_over_swing", "no_flow_at", "coulomb", "constant", "low", "high", "range"),
         OUTPUT,
     ),
     **dict.fromkeys(("amplitude", "typical_size", "limit_above_rest", "pv_in_all", "pv_off_at_start"), PV),
@@ -27,7 +27,7 @@ UNITS: dict[str, str] = {
     "gain": "PV per unit of its column",
 }
 """Units by the name of the size."""
-BY_PLACE = {"size", "step"}
+BY_PLACE = {"size", "step", "width"}
 """Sizes of effects on the reading or before the process: in PV units in the sensor, in output units elsewhere."""
 
 

@@ -15,13 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.waves import spectral_lines
+from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, extend, refined, within
-from autotuner.core.estimation.linear_least_squares import residual_after
-from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
-    from autotuner.core.diagnosis.record.dataset import Dataset
 
 KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
@@ -43,6 +40,8 @@ LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
 """Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
 QUICK_LAG = 0.1
 """The quicker lag to begin with beside a wave, in slower ones."""
+OF_PULSES = 8
+"""Starts of a switched output from which a fit begins."""
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
@@ -68,7 +67,11 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     if wave is None or pair is None or dataset.tuned or pair.problem.effects:
         return []
     problem = replace(pair.problem.with_effect(wave), rows=context.coarse)
-    lines = [f for f in spectral_lines(dataset, dataset.data.pv)[:STRONGEST] if _share_of_wave(dataset, f) > WAVE]
+    lines = [
+        f
+        for f in spectral_lines(dataset, dataset.data.pv)[:STRONGEST]
+        if share_of_wave(dataset, dataset.data.pv, f) > WAVE
+    ]
     starts = (
         np.array([math.log(lag * dataset.span_s), math.log(QUICK_LAG * lag * dataset.span_s), delay, math.log(line)])
         for line, lag, delay in product(lines, LAGS, DELAYS)
@@ -78,18 +81,37 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     return [c for c in best if is_physical(c) and c.rms < pair.rms]
 
 
+def with_switched_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return a time-proportioned output with a pair of lags that is searched for beside it, fitted on all samples.
+
+    The process alone lies far from the process behind a ripple.
+    """
+    pair = _free_pair(base.origins)
+    switched = [e for e in effects if e.name == "time_proportioning"]
+    if pair is None or not switched:
+        return []
+    span = context.dataset.span_s
+    shapes = [
+        np.array([math.log(lag * span), math.log(QUICK_LAG * lag * span), delay])
+        for lag, delay in product(LAGS, DELAYS)
+    ]
+    shapes += [o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure]
+    tried = [
+        fit(replace(pair.problem.with_effect(e), rows=context.screen), np.append(shape, start), 0)
+        for e, shape in within(context.dataset.budget, product(switched, shapes))
+        for start in e.starts
+    ]
+    found = [
+        fit(replace(c.problem, rows=context.coarse), c.theta, COARSE_STEPS, ENOUGH_FOR_RANKS)
+        for c in closest_first(tried)[:OF_PULSES]
+    ]
+    best = [refined(context, c) for c in closest_first(found)[:1]]
+    return [c for c in best if is_physical(c) and c.rms < pair.rms]
+
+
 def _free_pair(origins: Sequence[Fitted]) -> Fitted | None:
     """Return the first pair of lags whose values are not held."""
     return next((o for o in origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
-
-
-def _share_of_wave(dataset: Dataset, line: float) -> float:
-    """Return the share of the PV's variance about a straight line, on the fitted part, that a wave explains."""
-    t, pv = dataset.data.t[dataset.fitted], dataset.data.pv[dataset.fitted]
-    angle = 2.0 * math.pi * line / dataset.span_s * t
-    straight = residual_after(np.column_stack((np.ones(t.size), t)), pv)
-    left = residual_after(np.column_stack((np.ones(t.size), t, np.cos(angle), np.sin(angle))), pv)
-    return 1.0 - float(left @ left) / max(float(straight @ straight), SMALLEST_DIVISOR)
 
 
 def with_varying_dead_time(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:

@@ -1,4 +1,4 @@
-"""Dead time that depends on the flow: the actuator's flow passes a pipe, and a larger flow passes faster.
+"""Dead time that changes: of a flow through a pipe, which the actuator sets, or which something else changes at once.
 
     integral of q over (t - L, t) = V,      q = q0 (1 + a u) > 0,      process input  u(t - L(t))
 
@@ -7,12 +7,14 @@ time at the first flow, a position that is taken at `t_i` leaves the pipe at
 
     t_i' = Q^-1(Q(t_i) + V/q0),     Q(t) = integral of 1 + a u
 
-`Q` is straight between two moves, so that this is exact. (Zenger and Ylinen, IFAC World Congress 2002; the transport
-delay of plug flow.)
+`Q` is straight between two moves, so that this is exact. Where the flow changes from `q0` to `q0/r` at a time `t*`,
+whatever the output does, the dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`.
+(Zenger and Ylinen, IFAC World Congress 2002; the transport delay of plug flow.)
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +31,10 @@ LEAST_FLOW = 0.05
 """Smallest flow in a record over the first one: below, the content of the pipe hardly moves."""
 MOST_CHANGE = 6.0
 """Largest change of the flow over the swing of the output, in first flows."""
+LARGEST_RATIO = 5.0
+"""Largest ratio of two dead times, either way: beyond, hardly a response of the process is left in a record."""
+JUMPS, MOMENTS = (0.4, 0.65, 1.5, 2.3), 12
+"""Ratios of the later dead time to the first to begin from, and the number of moments."""
 STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
 """Changes of the flow over the swing to begin from."""
 
@@ -57,6 +63,49 @@ def flow_delay(dataset: Dataset) -> Effect:
         order=3,
         group="timing",
     )
+
+
+def dead_time_jump(dataset: Dataset) -> Effect:
+    """Return a dead time that jumps at a time: another flow of what carries it, another line to the sensor."""
+    span, share = dataset.span_s, dataset.fitted_until_s / dataset.span_s
+
+    def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
+        return carried_since(held, p[0] * span, math.exp(p[1]), delay_s)
+
+    return Effect(
+        "dead_time_jump",
+        Place.PROCESS,
+        (
+            Searched("moment", 0.01, 0.99, 1e-4, profiled=True),
+            Searched("log_ratio", -math.log(LARGEST_RATIO), math.log(LARGEST_RATIO), 1e-4, profiled=True),
+        ),
+        [(share * m, math.log(r)) for m in np.linspace(0.05, 0.9, MOMENTS).tolist() for r in JUMPS],
+        lambda p, _c, _g: {"at_s": p[0] * span, "later_over_first": math.exp(p[1])},
+        transport=transport,
+        order=3,
+        price=math.log(MOMENTS),
+        group="timing",
+    )
+
+
+def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float) -> HeldInput:
+    """Return a position as it leaves the pipe, the first dead time left out, where the flow changes at a time.
+
+    Parameters
+    ----------
+    held : HeldInput
+        The position.
+    at_s : float
+        Time of the change, s.
+    ratio : float
+        Dead time after it, over that before.
+    delay_s : float
+        Dead time before it, s.
+    """
+    passed = np.minimum(held.times, at_s) + np.maximum(held.times - at_s, 0.0) / ratio + delay_s
+    times = np.minimum(passed, at_s) + np.maximum(passed - at_s, 0.0) * ratio - delay_s
+    times[0] = min(float(held.times[0]), float(times[1:].min(initial=np.inf)))
+    return HeldInput(times, held.levels)
 
 
 def carried(held: HeldInput, flow_per_output: float, delay_s: float) -> HeldInput:

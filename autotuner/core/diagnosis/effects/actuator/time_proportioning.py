@@ -1,0 +1,116 @@
+"""A time-proportioned output: a relay or a triac is on for a share of each period.
+
+    x(t) = full   for t_k <= t < t_k + (u(t_k)/full) P,   0 for the rest of the period,      t_k = (k + f) P
+
+or on until a carrier that rises from 0 to `full` in each period has reached `u(t)`. `u` recorded output, `full` its
+upper end, `P` period, `f` phase. The mean over a period is `u`; where the process is not much slower than the period,
+the PV shows its ripple, and each command waits for half a period. (Pulse-width modulation with uniform and with natural
+sampling: Holmes and Lipo, Pulse Width Modulation for Power Converters, 2003, section 3.)
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
+from autotuner.core.diagnosis.extended.extended_model import apart
+from autotuner.core.model.zoh_input import HeldInput
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.model.arrays import FloatArray
+
+FULL = (1.0, 100.0)
+"""Upper ends of an output that is a share or a percentage; any other range is not known."""
+LEAST_FULL = 0.1
+"""Share of that end that the largest output reaches at least: below, the output is in other units."""
+SHORTEST, FEWEST = 2.0, 8.0
+"""Shortest period in sample intervals, and fewest periods in a record."""
+PHASES, OF_EACH, MOST_LINES = 6, 2, 4
+"""Phases, strongest lines of the spectrum of a signal, and most lines in all, from which a search begins."""
+SAME_LINE = 0.5
+"""Difference of two lines, in periods a record, below which they are one."""
+LOOKS = 4
+"""Looks at the command of a carrier: a further move within a period is rare."""
+RIPPLE = 0.15
+"""Least share of a residual that the wave of a line explains: a ripple is regular."""
+BEFORE = 20
+"""Periods before the record: by then the ripple no longer depends on how it began."""
+
+
+def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
+    """Return the effect, where the range of the output is known, and a residual has a line to begin from."""
+    output = dataset.data.held.levels + dataset.output0
+    top, span, interval = float(output.max()), dataset.span_s, dataset.data.interval_s
+    full = next((end for end in FULL if LEAST_FULL * end < top <= end), 0.0)
+    low, high = SHORTEST * interval, span / FEWEST
+    pv, t = dataset.data.pv, dataset.data.t
+    lines = [
+        line
+        for signal in (pv, np.gradient(pv, t), *residuals)  # a process that rings may have taken the ripple up
+        for line in spectral_lines(dataset, signal)[:OF_EACH]
+        if low < span / line < high and share_of_wave(dataset, signal, line) > RIPPLE
+    ]
+    lines = apart(lines, lambda one, other: abs(one - other), SAME_LINE, MOST_LINES)
+    periods = [span / line for line in lines]
+    if full == 0.0 or float(output.min()) < 0.0 or not periods:
+        return ()
+
+    starts = [(math.log(period), k / PHASES) for period in periods for k in range(PHASES)]
+    return tuple(
+        Effect(
+            "time_proportioning",
+            Place.ACTUATOR,
+            (Searched("log_period", math.log(low), math.log(high), 1e-5), Searched("phase", -1.0, 2.0, 1e-4)),
+            starts,
+            lambda p, _c, _g: {"period_s": math.exp(p[0])},
+            form=form,
+            position=partial(_switched, full=full, looks=looks),
+            order=4,
+            price=math.log(len(starts)),
+            group="timing",
+        )
+        for form, looks in (("", 1), ("by a carrier", LOOKS))
+    )
+
+
+def _switched(held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, looks: int) -> HeldInput:
+    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], float(dataset.data.t[-1]), looks)
+
+
+def pulses(
+    held: HeldInput, output0: float, full: float, period_s: float, phase: float, until_s: float, looks: int = 1
+) -> HeldInput:
+    """Return a position that is either 0 or full, as deviation from the first output.
+
+    Parameters
+    ----------
+    held : HeldInput
+        The output, as deviation from its first value.
+    output0 : float
+        That value.
+    full : float
+        Its upper end.
+    period_s, phase : float
+        Period, s, and phase of the pulses, periods.
+    until_s : float
+        Time of the last pulse, s.
+    looks : int
+        How often the command is looked at in a period: once, or until the time at which a pulse ends no longer changes.
+    """
+    begins = np.asarray((np.arange(-BEFORE, math.ceil(until_s / period_s) + 1) + phase) * period_s, dtype=np.float64)
+    share = np.zeros_like(begins)
+    for _ in range(looks):
+        share = np.clip((held.at(begins + share * period_s) + output0) / full, 0.0, 1.0)
+    times = np.column_stack((begins, begins + share * period_s)).ravel()
+    levels = np.tile((full - output0, -output0), begins.size)
+    lasting = np.append(np.diff(times) > 0.0, [True])
+    start = times[0] - period_s
+    return HeldInput(np.append(start, times[lasting]), np.append(0.0, levels[lasting]))
