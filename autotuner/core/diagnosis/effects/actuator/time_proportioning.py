@@ -37,8 +37,6 @@ PHASES, OF_EACH, MOST_LINES = 6, 2, 4
 """Phases, strongest lines of the spectrum of a signal, and most lines in all, from which a search begins."""
 SAME_LINE = 0.5
 """Difference of two lines, in periods a record, below which they are one."""
-LOOKS = 4
-"""Looks at the command of a carrier: a further move within a period is rare."""
 RIPPLE = 0.15
 """Least share of a residual that the wave of a line explains: a ripple is regular."""
 BEFORE = 20
@@ -72,21 +70,21 @@ def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tup
             starts,
             lambda p, _c, _g: {"period_s": math.exp(p[0])},
             form=form,
-            position=partial(_switched, full=full, looks=looks),
+            position=partial(_switched, full=full, latched=latched),
             order=4,
             price=math.log(len(starts)),
             group="timing",
         )
-        for form, looks in (("", 1), ("by a carrier", LOOKS))
+        for form, latched in (("", True), ("by a carrier", False))
     )
 
 
-def _switched(held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, looks: int) -> HeldInput:
-    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], float(dataset.data.t[-1]), looks)
+def _switched(held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, latched: bool) -> HeldInput:
+    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], float(dataset.data.t[-1]), latched=latched)
 
 
 def pulses(
-    held: HeldInput, output0: float, full: float, period_s: float, phase: float, until_s: float, looks: int = 1
+    held: HeldInput, output0: float, full: float, period_s: float, phase: float, until_s: float, *, latched: bool = True
 ) -> HeldInput:
     """Return a position that is either 0 or full, as deviation from the first output.
 
@@ -102,14 +100,19 @@ def pulses(
         Period, s, and phase of the pulses, periods.
     until_s : float
         Time of the last pulse, s.
-    looks : int
-        How often the command is looked at in a period: once, or until the time at which a pulse ends no longer changes.
+    latched : bool
+        Whether the command at the begin of a period counts for all of it; otherwise a carrier looks at all of them.
     """
-    begins = np.asarray((np.arange(-BEFORE, math.ceil(until_s / period_s) + 1) + phase) * period_s, dtype=np.float64)
-    share = np.zeros_like(begins)
-    for _ in range(looks):
-        share = np.clip((held.at(begins + share * period_s) + output0) / full, 0.0, 1.0)
-    times = np.column_stack((begins, begins + share * period_s)).ravel()
+    turns = np.arange(-BEFORE, math.ceil(until_s / period_s) + 1)
+    begins = np.asarray((turns + phase) * period_s, dtype=np.float64)
+    looks = begins if latched else np.union1d(begins, held.times[held.times > begins[0]])
+    turn = np.searchsorted(begins, looks, side="right") - 1
+    reached = begins[turn] + np.clip((held.at(looks) + output0) / full, 0.0, 1.0) * period_s
+    over = np.maximum(reached, looks)
+    ends = begins + period_s
+    lasts = np.append(looks[1:], ends[-1])
+    np.minimum.at(ends, turn, np.where(over < lasts, over, np.inf))
+    times = np.column_stack((begins, ends)).ravel()
     levels = np.tile((full - output0, -output0), begins.size)
     lasting = np.append(np.diff(times) > 0.0, [True])
     start = times[0] - period_s
