@@ -11,6 +11,7 @@ from autotuner.core.diagnosis.effects.actuator.time_proportioning import pulses,
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.effects import EffectPlugin, check_effect
+from autotuner_sim import TimeProportioned
 from tests.diagnosis.test_records_without_segments import integrated, levels
 
 pytestmark = pytest.mark.usefixtures("without_gains")
@@ -39,6 +40,23 @@ def test_a_command_that_falls_below_the_carrier_ends_the_pulse_at_once():
     )  # 40 %, and 20 % from 3 s on, as the carrier is at 30
     seen = pulses(held, 40.0, 100.0, 10.0, 0.0, 30.0, latched=False)
     assert seen.at(np.array([2.9, 3.1, 11.9, 12.1])) == pytest.approx([60.0, -40.0, 60.0, -40.0])
+
+
+@pytest.mark.parametrize("period_s", [3.0, 8.0, 23.0])
+def test_pulses_are_those_of_the_simulator(period_s):
+    """Its position is the mean over a step of 0.05 s; the first period begins at rest, with the record."""
+    random, step_s = np.random.default_rng(5), 0.05
+    at, levels_of = np.append(0.0, np.cumsum(random.uniform(1.0, 9.0, 20))), random.uniform(-30.0, 30.0, 21)
+    held = HeldInput(at, np.append(0.0, levels_of[1:]))
+    simulated = TimeProportioned(period_s)
+    simulated.rest(40.0)
+    times = np.arange(0.0, 90.0, step_s)
+    theirs = [simulated.act(float(held.at(np.array([t]))[0]) + 40.0, step_s) for t in times]
+    ours = pulses(held, 40.0, 100.0, period_s, 0.0, 95.0)
+    fine = np.arange(0.0, 90.0, step_s / 20.0) + step_s / 40.0
+    means = ours.at(fine).reshape(-1, 20).mean(axis=1) + 40.0
+    # A move within the step in which a period begins counts in the next one there.
+    assert np.mean(np.abs(means - theirs) > 5.1) < 0.01
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

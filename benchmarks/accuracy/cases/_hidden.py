@@ -416,11 +416,11 @@ def not_settled(scene, severity, rng):
     return Physics(loads=before, begins_s=scene.relay_s)
 
 
-# --- outside of any catalogue
-
-
 def time_proportioned(scene, severity, rng):
     return Physics(actuators=(TimeProportioned(_size(severity, 0.05, 0.15, rng) * scene.lag_s),))
+
+
+# --- outside of any catalogue
 
 
 def neighbour(scene, severity, rng):
@@ -491,16 +491,15 @@ FORMS = (
     form_of("timing_jitter", "even", jitter),
     form_of("timing_jitter", "in runs", jitter_in_runs, textbook=False),
     form_of("not_settled", "disturbed before", not_settled, also=("load_step",)),
-)
-OUTSIDE = (
     form_of(
-        "time_proportioned",
+        "time_proportioning",
         "relay heater",
         time_proportioned,
-        textbook=False,
         also=("periodic_disturbance", "actuator_hold"),
         kinds=("lag", "balanced", "underdamped"),
     ),
+)
+OUTSIDE = (
     form_of("neighbour", "thermostat", neighbour, textbook=False, also=("periodic_disturbance",)),
     form_of("freeze", "frozen sensor", freeze, textbook=False, also=("outliers",)),
 )
