@@ -54,3 +54,15 @@ def test_a_reader_that_is_gone_is_no_error(pipe):
     writer.start()
     writer.stop()
     assert records.empty()
+
+
+def test_a_line_that_cannot_be_formatted_holds_no_other_up(pipe):
+    records = SimpleQueue()
+    records.put(logging.LogRecord("here", logging.INFO, "", 0, "%d samples", ("many",), None))
+    put(records, 1)
+    writer = LineWriter(records, logging.Formatter(), pipe[1])
+    writer.start()
+    writer.stop()
+    first, second = os.read(pipe[0], 4096).decode().splitlines()
+    assert first.startswith("here: '%d samples' cannot be formatted")
+    assert second == "line 0: 20 °C"

@@ -60,7 +60,11 @@ class LineWriter(QueueListener):
 
     def handle(self, record: logging.LogRecord) -> None:
         """Write the line of a record, past the buffer of the stream: its lock would be held meanwhile."""
-        line = f"{self._formatter.format(record)}\n".encode(errors="replace")
+        try:
+            text = self._formatter.format(record)
+        except Exception as error:  # noqa: BLE001 - of whoever logged it; the lines behind it are written all the same
+            text = f"{record.name}: {record.msg!r} cannot be formatted: {error}"
+        line = f"{text}\n".encode(errors="replace")
         with contextlib.suppress(OSError):  # nobody reads it any more
             while line:
                 line = line[os.write(self._descriptor, line) :]

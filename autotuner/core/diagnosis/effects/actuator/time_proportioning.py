@@ -60,7 +60,6 @@ def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tup
     periods = [span / line for line in lines]
     if full == 0.0 or float(output.min()) < 0.0 or not periods:
         return ()
-
     starts = [(math.log(period), k / PHASES) for period in periods for k in range(PHASES)]
     return tuple(
         Effect(
