@@ -35,6 +35,8 @@ LARGEST_RATIO = 5.0
 """Largest ratio of two dead times, either way: beyond, hardly a response of the process is left in a record."""
 JUMPS, MOMENTS = (0.4, 0.65, 1.5, 2.3), 12
 """Ratios of the later dead time to the first to begin from, and the number of moments."""
+FEWEST_MOVES = 2
+"""Moves of the output on either side of a jump: one move alone may be late for any other reason."""
 STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
 """Changes of the flow over the swing to begin from."""
 
@@ -85,7 +87,15 @@ def dead_time_jump(dataset: Dataset) -> Effect:
         order=3,
         price=math.log(MOMENTS),
         group="timing",
+        means=lambda p, _c, _g, _shape: _moves_apart(dataset, p[0] * span) >= FEWEST_MOVES,
     )
+
+
+def _moves_apart(dataset: Dataset, at_s: float) -> int:
+    """Return the number of moves before a time or after it on the fitted part, whichever is smaller."""
+    moves = dataset.data.held.times[1:]
+    before = int(np.count_nonzero(moves < at_s))
+    return min(before, int(np.count_nonzero(moves < dataset.fitted_until_s)) - before)
 
 
 def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float) -> HeldInput:
