@@ -58,6 +58,14 @@ def ended(scene):
     return told if told["state"] == "ended" else None
 
 
+def ends_with_the_loop_given_back(scene):
+    """End the service as a service manager does."""
+    scene.service.terminate()
+    assert scene.service.wait(PATIENCE_S) == 0
+    assert at_rest(scene)()
+    assert scene.journal.interrupted() == []
+
+
 def test_a_loop_is_tuned(scene):
     scene = scene(relay="min_periods = 3, check = false")
     told = until(lambda: ended(scene))
@@ -105,20 +113,14 @@ def test_sigterm_gives_the_loop_back(scene, first):
     if first == "process":
         os.kill(loop_process_of(scene.service), signal.SIGTERM)
         assert until(lambda: ended(scene))["verdict"]["code"] == "shutdown"
-    scene.service.terminate()
-    assert scene.service.wait(PATIENCE_S) == 0
-    assert at_rest(scene)()
-    assert scene.journal.interrupted() == []
+    ends_with_the_loop_given_back(scene)
 
 
 def test_sigterm_gives_the_loop_back_while_nobody_reads_the_log(scene):
     with full_pipe() as unread:
         scene = scene(stderr=unread)
         until(moved(scene))
-        scene.service.terminate()
-        assert scene.service.wait(PATIENCE_S) == 0
-        assert at_rest(scene)()
-        assert scene.journal.interrupted() == []
+        ends_with_the_loop_given_back(scene)
 
 
 def test_the_process_ends_with_a_killed_service_while_nobody_reads_the_log(scene):

@@ -341,7 +341,7 @@ class _Host:
 
         station = await serve(order, backend, wire, journal, begun)
         if station.alone:
-            _wire_here.set(None)
+            _wire_here.set(None)  # the log has no other reader than standard error any more
             _report_end(order)
 
     async def _others(self, loop: str, this: asyncio.Task[None]) -> None:

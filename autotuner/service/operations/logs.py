@@ -59,7 +59,7 @@ class LogBudget(logging.Filter):
     clock : callable
         Returns the time, s.
     records : SimpleQueue
-        Where they wait for their line.
+        The queue of those that are not yet written.
     """
 
     def __init__(self, clock: Callable[[], float], records: SimpleQueue[logging.LogRecord]) -> None:

@@ -9,12 +9,13 @@ Hysteresis, 1989.) Play of the actuator delays the motion of the process; this o
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.actuator.friction import backlash
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
+from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,14 +61,6 @@ def reading_with_play(pv: FloatArray, width: float, ahead: float) -> FloatArray:
     ahead : float
         Share of it that lies ahead of the first motion upwards.
     """
-    reading = np.empty_like(pv)
-    reading[0] = at = float(pv[0])
-    ways = np.sign(np.diff(pv))
-    begins = np.concatenate(([0], np.flatnonzero(np.diff(ways)) + 1, [ways.size])) + 1
-    for begin, end in pairwise(begins.tolist()):  # the PV goes one way in between
-        part = pv[begin:end]
-        rising = ways[begin - 1] > 0.0
-        moved = np.maximum(at, part - ahead * width) if rising else np.minimum(at, part + (1.0 - ahead) * width)
-        reading[begin:end] = moved
-        at = float(moved[-1])
-    return reading
+    start = float(pv[0])
+    seen = backlash(HeldInput(np.arange(pv.size, dtype=np.float64), pv - start), width, ahead - 0.5)
+    return seen.levels + start

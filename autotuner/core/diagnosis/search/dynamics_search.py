@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.model.arrays import FloatArray
 
 KEPT = (0.7, 0.3)
 """Shares of the dead time to begin with."""
@@ -72,13 +74,11 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
         for f in spectral_lines(dataset, dataset.data.pv)[:STRONGEST]
         if share_of_wave(dataset, dataset.data.pv, f) > WAVE
     ]
-    starts = (
-        np.array([math.log(lag * dataset.span_s), math.log(QUICK_LAG * lag * dataset.span_s), delay, math.log(line)])
-        for line, lag, delay in product(lines, LAGS, DELAYS)
-    )
-    found = [fit(problem, start, COARSE_STEPS, ENOUGH_FOR_RANKS) for start in within(dataset.budget, starts)]
-    best = [refined(context, c) for c in closest_first(found)[:1]]
-    return [c for c in best if is_physical(c) and c.rms < pair.rms]
+    found = [
+        fit(problem, np.append(shape, math.log(line)), COARSE_STEPS, ENOUGH_FOR_RANKS)
+        for line, shape in within(dataset.budget, product(lines, _shapes(dataset)))
+    ]
+    return _closest(context, found, pair)
 
 
 def with_switched_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -90,12 +90,10 @@ def with_switched_output(context: FitContext, base: Base, effects: Sequence[Effe
     switched = [e for e in effects if e.name == "time_proportioning"]
     if pair is None or not switched:
         return []
-    span = context.dataset.span_s
     shapes = [
-        np.array([math.log(lag * span), math.log(QUICK_LAG * lag * span), delay])
-        for lag, delay in product(LAGS, DELAYS)
+        *_shapes(context.dataset),
+        *(o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure),
     ]
-    shapes += [o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure]
     tried = [
         fit(replace(pair.problem.with_effect(e), rows=context.screen), np.append(shape, start), 0)
         for e, shape in within(context.dataset.budget, product(switched, shapes))
@@ -105,6 +103,20 @@ def with_switched_output(context: FitContext, base: Base, effects: Sequence[Effe
         fit(replace(c.problem, rows=context.coarse), c.theta, COARSE_STEPS, ENOUGH_FOR_RANKS)
         for c in closest_first(tried)[:OF_PULSES]
     ]
+    return _closest(context, found, pair)
+
+
+def _shapes(dataset: Dataset) -> list[FloatArray]:
+    """Return pairs of lags with a dead time, as `theta` has them, that lie all over what a record can show."""
+    span = dataset.span_s
+    return [
+        np.array([math.log(lag * span), math.log(QUICK_LAG * lag * span), delay])
+        for lag, delay in product(LAGS, DELAYS)
+    ]
+
+
+def _closest(context: FitContext, found: Sequence[Fitted], pair: Fitted) -> list[Fitted]:
+    """Return the closest of these fitted on all samples, where it is closer than the pair of lags alone."""
     best = [refined(context, c) for c in closest_first(found)[:1]]
     return [c for c in best if is_physical(c) and c.rms < pair.rms]
 

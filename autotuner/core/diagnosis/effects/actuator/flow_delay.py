@@ -1,4 +1,4 @@
-"""Dead time that changes: of a flow through a pipe, which the actuator sets, or which something else changes at once.
+"""Dead time of a pipe whose flow changes: with the output, or once, whatever the output does.
 
     integral of q over (t - L, t) = V,      q = q0 (1 + a u) > 0,      process input  u(t - L(t))
 
@@ -7,8 +7,8 @@ time at the first flow, a position that is taken at `t_i` leaves the pipe at
 
     t_i' = Q^-1(Q(t_i) + V/q0),     Q(t) = integral of 1 + a u
 
-`Q` is straight between two moves, so that this is exact. Where the flow changes from `q0` to `q0/r` at a time `t*`,
-whatever the output does, the dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`.
+`Q` is straight between two moves, so that this is exact. Where the flow changes from `q0` to `q0/r` at a time `t*`, the
+dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`.
 (Zenger and Ylinen, IFAC World Congress 2002; the transport delay of plug flow.)
 """
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.model.arrays import FloatArray
 
 LEAST_FLOW = 0.05
 """Smallest flow in a record over the first one: below, the content of the pipe hardly moves."""
@@ -114,8 +115,7 @@ def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float) ->
     """
     passed = np.minimum(held.times, at_s) + np.maximum(held.times - at_s, 0.0) / ratio + delay_s
     times = np.minimum(passed, at_s) + np.maximum(passed - at_s, 0.0) * ratio - delay_s
-    times[0] = min(float(held.times[0]), float(times[1:].min(initial=np.inf)))
-    return HeldInput(times, held.levels)
+    return _arriving(held, times)
 
 
 def carried(held: HeldInput, flow_per_output: float, delay_s: float) -> HeldInput:
@@ -135,5 +135,10 @@ def carried(held: HeldInput, flow_per_output: float, delay_s: float) -> HeldInpu
     leaves = passed + delay_s
     k = np.searchsorted(passed, leaves, side="right") - 1
     times = held.times[k] + (leaves - passed[k]) / flow[k] - delay_s
-    times[0] = min(float(held.times[0]), float(times[1:].min(initial=np.inf)))  # an early arrival may precede it
+    return _arriving(held, times)
+
+
+def _arriving(held: HeldInput, times: FloatArray) -> HeldInput:
+    """Return a position that arrives at other times; an early arrival may precede the start."""
+    times[0] = min(float(held.times[0]), float(times[1:].min(initial=np.inf)))
     return HeldInput(times, held.levels)

@@ -48,6 +48,8 @@ def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tup
     output = dataset.data.held.levels + dataset.output0
     top, span, interval = float(output.max()), dataset.span_s, dataset.data.interval_s
     full = next((end for end in FULL if LEAST_FULL * end < top <= end), 0.0)
+    if full == 0.0 or float(output.min()) < 0.0:
+        return ()
     low, high = SHORTEST * interval, span / FEWEST
     pv, t = dataset.data.pv, dataset.data.t
     lines = [
@@ -57,10 +59,9 @@ def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tup
         if low < span / line < high and share_of_wave(dataset, signal, line) > RIPPLE
     ]
     lines = apart(lines, lambda one, other: abs(one - other), SAME_LINE, MOST_LINES)
-    periods = [span / line for line in lines]
-    if full == 0.0 or float(output.min()) < 0.0 or not periods:
+    if not lines:
         return ()
-    starts = [(math.log(period), k / PHASES) for period in periods for k in range(PHASES)]
+    starts = [(math.log(span / line), k / PHASES) for line in lines for k in range(PHASES)]
     return tuple(
         Effect(
             "time_proportioning",
