@@ -236,17 +236,48 @@ def test_fit_selection_and_test_never_meet_and_leave_nothing_out(record):
 
 @given(records())
 @settings(max_examples=50, deadline=None)
-def test_the_test_part_is_the_last_fifth_or_three_tenths_of_the_tail(record):
+def test_the_test_part_is_a_share_of_the_record_or_three_tenths_of_the_tail(record):
     parts, t = parts_of(record), record.t
     from_s = record.segments.get("tail", t[0])
-    share = 0.3 if record.segments else 0.2
-    expected = t > t[-1] - share * (t[-1] - from_s)
-    if 5 <= np.count_nonzero(expected) <= t.size - 20:
-        assert np.flatnonzero(expected).tolist() == list(range(parts.tested.start, parts.tested.stop))
+    shares = (0.3,) if record.segments else (0.2, 0.15, 0.1)
+    possible = [np.flatnonzero(t > t[-1] - share * (t[-1] - from_s)).tolist() for share in shares]
+    if 5 <= len(possible[0]) <= t.size - 20:
+        assert list(range(parts.tested.start, parts.tested.stop)) in possible
         assert parts.test_from_s == pytest.approx(t[parts.tested.start] - t[0])
     else:
         assert parts.tested.start == parts.tested.stop == t.size
         assert parts.before_test is parts.whole
+
+
+def staying(*levels):
+    """Return a record whose output stays as long at each level."""
+    output = np.repeat(np.array(levels, dtype=np.float64), 20)
+    return Recording(np.arange(output.size, dtype=np.float64), output, course(output.size))
+
+
+SWINGS = (40.0, 50.0) * 15  # three fifths of fifty stays of 20 samples
+SEEN = (*SWINGS, *(40.0, 50.0) * 5)  # four fifths
+
+
+@pytest.mark.parametrize(("levels", "share"), [
+    pytest.param((*SEEN, *(40.0, 50.0) * 5), 0.2, id="nowhere new"),
+    pytest.param((*SEEN, *(40.0, 49.0) * 5), 0.2, id="within"),
+    pytest.param((*SEEN, *[60.0] * 2, *(40.0, 50.0) * 4), 0.15, id="new at first"),
+    pytest.param((*SEEN, *(40.0, 50.0) * 2, *[60.0] * 6), 0.1, id="new at last"),
+    pytest.param((*SEEN, *[50.0] * 10), 0.1, id="longer at a known level"),
+])  # fmt: skip
+def test_the_test_part_is_smaller_where_the_output_goes_where_it_was_not(levels, share):
+    record = staying(*levels)
+    assert parts_of(record).test_from_s == pytest.approx((1.0 - share) * record.t[-1], abs=1.0)
+    other = Recording(record.t, record.output, np.random.default_rng(1).normal(50.0, 9.0, record.t.size))
+    assert parts_of(other).tested == parts_of(record).tested, "the PV has no say in it"
+
+
+def test_a_part_of_few_samples_is_not_made_smaller():
+    """A tenth of 150 samples is too few for a test: 15 % of them are not."""
+    t = np.arange(150.0)
+    record = Recording(t, np.where(t < 120.0, 40.0 + 10.0 * (t // 10 % 2), 60.0), course(150))
+    assert len(record) - len(parts_of(record).before_test) == 23
 
 
 @pytest.mark.parametrize(("count", "tested"), [(25, 5), (24, 0), (26, 5), (100, 20)])
