@@ -129,6 +129,8 @@ def test_a_loss_is_the_simulators(plant, key, loss, per_pv):
         ("nonlinear_loss:radiation", (0.0,)),
         ("nonlinear_loss:cubic", (0.0, 0.0)),
         ("nonlinear_loss:of the last store", (1.0, 0.0, 0.0)),
+        ("nonlinear_loss:outflow of the last store", (0.0, 0.0)),
+        ("nonlinear_loss:radiation of the last store", (1.0, 0.0)),
         ("state_saturation:spills", (0.0, -2.0)),
         ("state_saturation:high", (0.0,)),
         ("state_saturation:low", (0.0,)),
@@ -140,6 +142,31 @@ def test_without_its_size_it_is_the_process_alone(plant, key, p):
     """The PV of two lags stays within the output's own range times the gain."""
     recording = record(plant, moves())
     assert left(with_effect(recording, plant, key, p)) < 1e-6
+
+
+def loss_of(form, level):
+    """Return what a store loses at `w`, of slope 1 at rest: by Torricelli, or by Stefan and Boltzmann."""
+    if form == "outflow":
+        return lambda w: 2.0 * level * (math.sqrt(1.0 + w / level) - 1.0)
+    return lambda w: level * ((1.0 + w / level) ** 4 - 1.0) / 4.0
+
+
+@pytest.mark.parametrize(("form", "p"), [("outflow", 0.5), ("radiation", 4.0)])
+@pytest.mark.parametrize("slow_last", [0.0, 1.0])
+def test_a_loss_of_the_last_of_two_stores_is_that_of_a_general_solver(form, p, slow_last):
+    """T1 x' = u - x, T2 w' = x - h(w), behind the dead time; `h` loses more, or less, than in proportion."""
+    u, level = moves(), 25.0
+    first, last = (PAIR.T2, PAIR.T1) if slow_last else (PAIR.T1, PAIR.T2)
+    edges = [(0.0, 0.0), *((k + PAIR.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+    h = loss_of(form, level)
+    t = np.arange(300.0)
+    w = solved(lambda x, v: [(v - x[0]) / first, (x[0] - h(x[1])) / last], [0.0, 0.0], edges, t)[1]
+    recording = Recording(t, OUTPUT0 + u, PV0 + PAIR.K * w)
+    b = (p - 1.0) / (2.0 * level)
+    fitted = with_effect(recording, PAIR, f"nonlinear_loss:{form} of the last store", (slow_last, b * SWING))
+    assert left(fitted) < 2e-3
+    assert left(at_the_truth(recording, PAIR)) > 0.012
+    assert fitted.sizes()[0]["loss_per_pv"] == pytest.approx(b / PAIR.K, rel=2e-3)
 
 
 def test_a_spring_is_that_of_a_general_solver():
@@ -206,6 +233,16 @@ def test_an_element_of_two_lags_is_the_simulators(plant):
     assert left(fitted) < 0.01
     assert left(at_the_truth(recording, plant)) > 0.05
     assert fitted.sizes() == [{"rising_lag_s": pytest.approx(9.0), "falling_lag_s": pytest.approx(3.0)}]
+
+
+@pytest.mark.parametrize("plant", LINEAR)
+def test_a_quicker_way_against_the_first_is_a_second_plant_beside_it(plant):
+    u, quick = moves(), Fopdt(-0.5 * plant.K, 4.0, plant.D)
+    recording = added(record(plant, u), record(quick, u))
+    fitted = with_effect(recording, plant, "inverse_response:a second way", (math.log(4.0),))
+    assert left(fitted) < 1e-6
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes() == [{"time_constant_s": pytest.approx(4.0), "share_against": pytest.approx(1.0)}]
 
 
 @pytest.mark.parametrize("plant", LINEAR)

@@ -193,15 +193,18 @@ def _parameters(fitted: Fitted, theta: FloatArray, linear: FloatArray) -> Mappin
     return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
 
 
+SHARES = {"share": 1.0, "share_against": -1.0}
+"""Sizes that are shares of the static gain beside the process, and whether they add to it."""
+
+
 def whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | None:
-    """Return the gain of a process with the slow mode beside it, and its interval; None without a mode."""
+    """Return the gain of a process with a slow mode, or a second way, beside it, and its interval; None without."""
 
     def whole(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
-        sizes = sizes_at(fitted.problem, theta, linear, fitted.counts)
-        share = next((s["share"] for s in sizes if "share" in s), 0.0)
+        share = sum(shares_beside(sizes_at(fitted.problem, theta, linear, fitted.counts)))
         return {"K": _parameters(fitted, theta, linear)["K"] / (1.0 - share)} if share < 1.0 else {}
 
-    if not any("share" in sizes for sizes in fitted.sizes()):
+    if not shares_beside(fitted.sizes()):
         return None
     try:
         centre = dict(whole(fitted.theta, fitted.linear))
@@ -209,6 +212,11 @@ def whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | 
     except (InputError, KeyError):
         return None
     return (centre["K"], (centre["K"] - half["K"], centre["K"] + half["K"])) if centre else None
+
+
+def shares_beside(sizes: Sequence[Mapping[str, float]]) -> list[float]:
+    """Return the shares of the whole static gain that are beside the process; that of a way against it is negative."""
+    return [sign * s[name] for s in sizes for name, sign in SHARES.items() if name in s]
 
 
 def _spread_over(

@@ -9,7 +9,7 @@
     flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
     dead_time_jump       D <- D max(1, later_over_first)  the longer of two dead times
     extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
-    inverse_response     G <- G (1 - Z s)
+    inverse_response     G <- G (1 - Z s);  refused as a second way with a time constant of its own
     slow_mode            omitted, where its slow mode is small at the crossover of a loop; else refused
 
 Invariants: disturbances, the sensor, friction and limits change nothing here, for no gains remove them; an effect that
@@ -205,7 +205,7 @@ def _behind_a_lag(kind: ProcessModel, p: Mapping[str, float], lag_s: float) -> P
 
 def _with_zero(view: ControllerView, effect: FoundEffect) -> ControllerView | None:
     """Return the process with its zero, whose error is assumed independent of the others."""
-    process, Z = view.model, effect.parameters["Z"]
+    process, Z = view.model, effect.parameters.get("Z", 0.0)
     kind = ZEROS.get(type(process))
     if kind is None or Z <= 0.0:
         return None

@@ -22,6 +22,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.extended.intervals import shares_beside
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, within
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
@@ -40,8 +41,6 @@ WINDOW = 2.0 * math.log(20.0)
 """How much higher the criterion of a form may be that is as plain: odds of 20 (Madigan and Raftery)."""
 ALIKE_MISFIT = 1.04
 """Ratio of the errors on the part not fitted under which two forms foretell it about as well."""
-SPLIT = {"slow_mode"}
-"""Effects beside which the gain of the process is but a part of the whole one."""
 SHARES = (0.05, 0.2)
 """Initial guesses of the further lag, relative to the longest number of the process."""
 
@@ -65,14 +64,19 @@ def _alike(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...]) -> lis
     """Return the other forms of a pool, one of each, that foretell the part not fitted about as well."""
     problem, known = chosen.problem, {tuple(e.key for e in chosen.problem.effects)}
     most = ALIKE_MISFIT * math.hypot(context.held_out_error(chosen), context.dataset.floor)
-    found = []
+    found, split = [], _is_split(chosen)
     for other in closest_first(c for c in pool if c.problem.dataset is problem.dataset and c.problem.fixed is None):
         form = tuple(e.key for e in other.problem.effects)
-        if form in known or len(form) != len(problem.effects) or SPLIT & (set(other.names) ^ set(chosen.names)):
+        if form in known or len(form) != len(problem.effects) or _is_split(other) != split:
             continue
         known.add(form)
         found += [other] if context.held_out_error(other) < most else []
     return found
+
+
+def _is_split(candidate: Fitted) -> bool:
+    """Return whether the gain of the process is but a part of the whole one."""
+    return bool(shares_beside(candidate.sizes()))
 
 
 @lru_cache(maxsize=4)

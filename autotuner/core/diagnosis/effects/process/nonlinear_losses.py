@@ -9,8 +9,9 @@ above that at which the loss ends, over the gain: p = 1/2 free outflow (Torricel
     w = G[v - (a w^2 + b w^3)/s]
 
 is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
-the PV, and on one side more than on the other (a). `s` the square of the range of `w`. The same of the second of two
-stores in a row alone is a form too. Its next term, `c w^4`, shows what the other two leave open.
+the PV, and on one side more than on the other (a). `s` the square of the range of `w`. Its next term, `c w^4`, shows
+what the other two leave open. The same of the second of two stores in a row alone are forms too: a tank below another
+one flows out by itself.
 """
 
 from __future__ import annotations
@@ -34,8 +35,14 @@ if TYPE_CHECKING:
     Curve = Callable[[FloatArray], FloatArray]
 
 FORMS = {"": 2.0, "outflow": 0.5, "radiation": 4.0}
+AT_THE_END = ("outflow", "radiation")
+"""Those that the last of two stores may have alone."""
+LAST_ALONE = "of the last store"
+"""What the form of such a loss is called."""
 RINGS = 2.0
 """`n^2/m` under which a pair of poles rings: a damping ratio of 0.7."""
+SLOW_LAST, WHICH = Searched("slow_last", 0.0, 1.0, 0.0), (0.0, 1.0)
+"""Which of two stores is the last one, the quick or the slow one: either is where a search begins, no slope."""
 EMPTY = 0.02
 """Least level, over that at rest."""
 SMALLEST = 1e-9
@@ -48,8 +55,10 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion, Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    last = () if rings else (_cubic(dataset, base, last=True),)
-    return (*(_loss(dataset, form, power) for form, power in FORMS.items()), free, *last)
+    last = (
+        () if rings else (_cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END))
+    )
+    return (*(_loss(dataset, form) for form in FORMS), free, *last)
 
 
 def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
@@ -58,8 +67,8 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
     With `last` it is that of the last of two stores in a row alone.
     """
     half = float(np.ptp(dataset.data.pv[dataset.fitted])) / 2.0 / (abs(float(base.linear[0])) or 1.0)  # output units
-    slow = (Searched("slow_last", 0.0, 1.0, 0.0),) if last else ()
-    of_last = [(which, b, a) for which in (0.0, 1.0) for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))]
+    slow = (SLOW_LAST,) if last else ()
+    of_last = [(which, b, a) for which in WHICH for b, a in ((0.2, 0.0), (1.0, 0.0), (0.1, 0.4), (0.1, -0.4))]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         b, a, *fourth = p[len(slow) :]
@@ -76,7 +85,7 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
         (*slow, Searched("cubic", -0.3, 30.0, 1e-4), Searched("square", -3.0, 3.0, 1e-4)),
         of_last if last else [(b, 0.0) for b in (0.03, 0.2, 0.8, 3.0)],
         sizes,
-        form="of the last store" if last else "cubic",
+        form=LAST_ALONE if last else "cubic",
         response=response,
         price=3.0 if last else 2.0,
         group="loss",
@@ -93,23 +102,27 @@ def _power_law(a: float, b: float, c: float) -> tuple[Curve, Curve]:
     )
 
 
-def _loss(dataset: Dataset, form: str, power: float) -> Effect:
-    swing = dataset.swing
+def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
+    """Return a loss by one number; with `last` that of the last of two stores in a row alone."""
+    swing, power = dataset.swing, FORMS[form]
+    starts = [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
-        b = p[0] / swing
+        b = p[-1] / swing
         if abs(b) < SMALLEST / swing:
             return view.forced(view.input)
-        return with_loss(view, *excess(b, power))
+        law = excess(b, power)
+        return with_loss_at_the_end(view, *law, slow_last=p[0] > 0.5) if last else with_loss(view, *law)
 
     return Effect(
         "nonlinear_loss",
         Place.PROCESS,
-        (Searched("loss", -3.0, 3.0, 1e-4),),
-        [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)],
-        lambda p, _c, g: {"loss_per_pv": p[0] / (swing * g)},
-        form=form,
+        (*((SLOW_LAST,) if last else ()), Searched("loss", -3.0, 3.0, 1e-4)),
+        [(which, *start) for which in WHICH for start in starts] if last else starts,
+        lambda p, _c, g: {"loss_per_pv": p[-1] / (swing * g)},
+        form=f"{form} {LAST_ALONE}" if last else form,
         response=response,
+        price=1.0 if last else 0.0,
         group="loss",
     )
 

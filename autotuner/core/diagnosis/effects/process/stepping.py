@@ -120,16 +120,17 @@ def with_loss_at_the_end(
     Parameters
     ----------
     view : View
-        Process, input and times; a process that is not a pair of real lags has no loss.
+        Process, input and times; any other process than a pair has no loss. The lags of a pair that just rings count as
+        equal, so that a search passes from one to the other.
     f, slope : callable
         A smooth curve and its slope.
     slow_last : bool
         Whether the slower of the two lags comes last.
     """
     motion = view.motion
-    if not isinstance(motion, Pair) or motion.n**2 < 4.0 * motion.m:
+    if not isinstance(motion, Pair):
         return view.forced(view.input)
-    slow_s = (motion.n + math.sqrt(motion.n**2 - 4.0 * motion.m)) / 2.0
+    slow_s = (motion.n + math.sqrt(max(motion.n**2 - 4.0 * motion.m, 0.0))) / 2.0
     grid, v, h = _grid(view, MANY_TO_SOLVE)
     straight = motion.forced(view.input, grid - view.delay_s)[0][0]
     part = _lag_course(Lag(slow_s if slow_last else motion.m / slow_s), np.zeros_like(v), h)

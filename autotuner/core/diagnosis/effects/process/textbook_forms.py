@@ -9,6 +9,7 @@ With `w` the response of the process of unit gain to the input `v`, both as devi
                         + c1 v/(Ts s + 1) + c2 v/(q Ts s + 1)   heat that spreads: many modes, for which two stand
     extra_lag           G(s)/(Tx s + 1)
     inverse_response    + c dw/dt
+                        + c v/(Tq s + 1),  c of the other sign, Tq short     a second, quicker way that acts against it
     not_settled         + the motion from an initial state
 
 (the last from any textbook on linear systems; the first as in Morari and Zafiriou, Robust Process Control, 1989.)
@@ -41,6 +42,8 @@ BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
 """Initial guesses of limits: below the highest output, in swings, and at quantiles of the response."""
 THIRD = (0.1, 0.35)
 """Third lag to start from, over the sum of the two."""
+MOST_AGAINST = 0.6
+"""Most that a second way takes back of the first one's gain: two ways that nearly cancel explain any response."""
 SECOND_MODE = 0.2
 """Time constant of the second of two modes over that of the first."""
 
@@ -55,6 +58,7 @@ def process_effects(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
         _unequal_lags(dataset),
         *_slow_mode(dataset),
         _inverse_response(),
+        _second_way(dataset),
         *gains_in_time(dataset),
         _not_settled(),
     )
@@ -193,6 +197,29 @@ def _inverse_response() -> Effect:
         columns=columns,
         makes_late=True,
         means=lambda _p, c, g, _shape: c[0] * g < 0.0,
+    )
+
+
+def _second_way(dataset: Dataset) -> Effect:
+    """Return a quicker way to the PV beside the first one, which acts against it: level swell, a bypass."""
+    low, high = math.log(0.2 * dataset.data.interval_s), math.log(dataset.span_s / 4.0)
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [Lag(math.exp(p[0])).forced(view.input, view.t - view.delay_s)[0][0]]
+
+    return Effect(
+        "inverse_response",
+        Place.PROCESS,
+        (Searched("log_quick", low, high, 1e-4),),
+        [(math.log(share * dataset.span_s),) for share in (0.005, 0.015, 0.05)],
+        lambda p, c, g: {"time_constant_s": math.exp(p[0]), "share_against": -c[0] / (g + c[0])},
+        form="a second way",
+        columns=columns,
+        price=1.0,
+        makes_late=True,
+        means=lambda p, c, g, shape: (
+            -MOST_AGAINST * g * g < c[0] * g < 0.0 and math.exp(p[0]) < max(shape, default=math.inf)
+        ),
     )
 
 
