@@ -40,7 +40,7 @@ from autotuner.core.signals.noise import rms
 from autotuner.errors import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.findings.gain_comparison import Design
@@ -122,7 +122,7 @@ def diagnose(
     share = _share_that_decides(context, found)
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
-        again = more.traced(*more.based())
+        again = more.traced(*more.based(), [*found.pool, found.chosen])
         if _replaces(base, found, again):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
@@ -203,21 +203,26 @@ class _Record:
         best = min(simpler, key=lambda way: known[way][0].on_both_parts(known[way][1]), default="")
         return replace(self, begins=best), based[best]
 
-    def traced(self, context: FitContext, first: Base) -> tuple[FitContext, Base, Trace, BoolArray]:
-        """Return the samples, the process alone on all of them, the search, and the spikes."""
+    def traced(
+        self, context: FitContext, first: Base, earlier: Sequence[Fitted] = ()
+    ) -> tuple[FitContext, Base, Trace, BoolArray]:
+        """Return the samples, the process alone on all of them, the search, and the spikes.
+
+        `earlier` has explanations that were found on fewer samples.
+        """
         none = np.zeros(self.used.t.size, dtype=np.bool_)
         if self._of_the_sensor(context, first):
             return context, first, Trace(first.held or first.best, first.best, (), noise_of(context, first.best)), none
         spikes = _spikes(context, first.best) & ~self.stands
         context, base = self.based(spikes) if spikes.any() else (context, first)
-        found = trace(context, base, self.model)
+        found = trace(context, base, self.model, earlier)
         late = _spikes(context, found.chosen) & ~self.stands & ~spikes
         # Where moves arrive late, the residual at them comes from corners of the model, not of the sensor.
         timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
         if late.any() and not timed and not _at_moves(context, found.chosen, late) and found.chosen is not base.best:
             spikes = spikes | late
             context, base = self.based(spikes)
-            found = trace(context, base, self.model)
+            found = trace(context, base, self.model, earlier)
         jittered = self._jittered(first, found, spikes)
         if jittered is not None:
             return *jittered, none

@@ -43,6 +43,8 @@ FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
 Item = TypeVar("Item")
 ALWAYS_TRIED = frozenset({"backlash", "stiction", "rate_limit"})
 """Effects that are always carried on: far from its size, one is worse than none, however well it fits in the end."""
+AS_NEAR = 1.1
+"""Ratio of the misfits up to which an explanation comes as near as another one: noise of 100 samples makes as much."""
 SAME = 1.02
 """Ratio of the misfits up to which another way of writing a candidate is the same."""
 
@@ -72,9 +74,24 @@ def finished(context: FitContext, quick: Sequence[Fitted]) -> list[Fitted]:
     first = all(len(c.problem.effects) < 2 for c in quick)
     _, to_coarse, to_fine = FIRST if first else FURTHER
     several = quick if first else _of_many_names(quick)
-    coarse = [_again(context.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in within(budget, several[:to_coarse])]
-    fine = [refined(context, c) for c in within(budget, _of_many_names(closest_first(coarse))[:to_fine])]
+    chosen = _first_and_alike(several, to_coarse)
+    coarse = [_again(context.coarse, c, COARSE_STEPS, ENOUGH_FOR_RANKS) for c in within(budget, chosen)]
+    closest = _first_and_alike(_of_many_names(closest_first(coarse)), to_fine)
+    fine = [refined(context, c) for c in within(budget, closest)]
     return [c for c in closest_first(fine) if is_physical(c)]
+
+
+def _first_and_alike(ranked: Sequence[Fitted], count: int) -> list[Fitted]:
+    """Return the first of a ranking, and the closest of every further name that comes as near as the first one.
+
+    In a short record, several effects explain a few moves equally well: which they are is a part of the answer.
+    """
+    first, names = list(ranked[:count]), {c.names for c in ranked[:count]}
+    for candidate in ranked[count:]:
+        if candidate.names not in names and candidate.rms < AS_NEAR * ranked[0].rms:
+            first.append(candidate)
+            names.add(candidate.names)
+    return first
 
 
 def within(budget: Budget, items: Iterable[Item]) -> Iterator[Item]:

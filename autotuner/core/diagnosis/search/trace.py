@@ -60,6 +60,7 @@ from autotuner.core.diagnosis.search.search import (
     without,
 )
 from autotuner.core.diagnosis.search.simplify import (
+    CURVES,
     simplest,
     with_best_moment,
     with_one_pulse,
@@ -101,6 +102,10 @@ GOES_ON = frozenset({"drift", "load_step"})
 """Names of a load of free shape that goes one way: its textbook forms say how it goes on."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
+COLOURED = 2.0
+"""Samples per independent one from which a residual as small as the noise may hide a further effect."""
+KNOWN = 6
+"""Most explanations of a search on fewer samples that are fitted again."""
 BEAM = 3
 """Explanations that are carried on to a further effect."""
 TRIED, TRIED_ELSEWHERE = 4, 8
@@ -133,8 +138,13 @@ class Trace:
     notes: tuple[str, ...] = ()
 
 
-def trace(context: FitContext, base: Base, declared: ProcessModel | None = None) -> Trace:
-    """Search for effects until none is accepted any more."""
+def trace(
+    context: FitContext, base: Base, declared: ProcessModel | None = None, earlier: Sequence[Fitted] = ()
+) -> Trace:
+    """Search for effects until none is accepted any more.
+
+    `earlier` has explanations from a search on fewer samples: the same search on more may not come to them.
+    """
     alone = base.held if base.held is not None else base.best
     best = base.best
     pool: list[Fitted] = []
@@ -149,6 +159,7 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         effects = catalogue(best, context.coarse, declared)
     steps: list[Fitted] = []
     beside, enough = _with_processes(context, base, effects)
+    beside += _fitted_again(context, earlier)
     beams = [] if enough else beams
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(context, best):
@@ -175,22 +186,25 @@ def trace(context: FitContext, base: Base, declared: ProcessModel | None = None)
         ]
     best, curved = _with_free_curve(context, base, best, declared)
     best, late = _with_uneven_updates(context, base, best)
-    pool += [*curved, *late]
+    pool += curved
     dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
-    chosen = with_one_pulse(context, better_of(context, [dropped, *as_many]), effects)
+    chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
+    chosen, stepped = with_steps(context, chosen)
+    pool += [*(stepped or _steps_instead(context, chosen, pool)), *(late or _late_instead(context, base, chosen))]
+    closest = closest_first([*pool, base.best])[0]
+    notes = of_columns(context, base.best, known.tried, chosen)
+    return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
+
+
+def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return an explanation with each effect in the plainest form that the record leaves to it."""
+    chosen = with_one_pulse(context, chosen, effects)
     chosen = with_plain_play(context, chosen, effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
     chosen = with_smooth_course(context, with_plain_drift(context, chosen, effects), effects)
-    chosen = with_plain_forms(context, chosen, effects)
-    chosen, stepped = with_steps(context, chosen)
-    pool += stepped
-    # Moves that are late by times of their own: where no further move separates the two, both are reported.
-    pool += with_own_times(context, base, PAIR) if FLOW in chosen.names and not late else []
-    closest = closest_first([*pool, base.best])[0]
-    notes = of_columns(context, base.best, known.tried, chosen)
-    return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
+    return with_plain_forms(context, chosen, effects)
 
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
@@ -203,6 +217,14 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
     return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
+
+
+def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
+    """Return explanations by one effect of other samples, the closest of each name, fitted to these."""
+    closest = [c for c in _distinct(closest_first(earlier)) if len(c.problem.effects) == 1][:KNOWN]
+    problems = [replace(c.problem, dataset=context.dataset, rows=context.fine) for c in closest]
+    again = [fit(problem, c.theta) for problem, c in zip(problems, closest, strict=True)]
+    return [c for c in again if is_physical(c)]
 
 
 def _how_far(context: FitContext, best: Fitted) -> str:
@@ -419,8 +441,20 @@ def _following(context: FitContext, base: Base, best: Fitted, found: Sequence[Fi
         accepted = [c for c in tried if is_accepted(context, base, best, c)]
         sticking = that_stick(context, [best, *accepted]) if accepted else []
         by_chance = sticking or [c for c in accepted if not _has_an_answer(c)]
-        chosen = next(iter(best_on_both_parts(context, by_chance or accepted)), None)
+        ranked = best_on_both_parts(context, by_chance or accepted)
+        chosen = _form_that_leaves_noise(context, ranked[0], accepted) if ranked else None
     return (ordered[0], False) if chosen is None or chosen is best else (chosen, True)
+
+
+def _form_that_leaves_noise(context: FitContext, chosen: Fitted, accepted: Sequence[Fitted]) -> Fitted:
+    """Return an explanation in the form that leaves only noise where its own leaves far more on the fitted part.
+
+    A free form follows what a textbook one misses, and predicts less: of the same name, the closer one is the answer.
+    """
+    if chosen.rms < VISIBLE * noise_of(context, chosen):
+        return chosen
+    forms = [c for c in accepted if c.names == chosen.names and c.rms < NOTHING_LEFT * noise_of(context, c)]
+    return forms[0] if forms else chosen
 
 
 def _has_an_answer(candidate: Fitted) -> bool:
@@ -443,7 +477,8 @@ def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: 
     if context.dataset.budget.spent:
         return True
     if accepted:
-        return best.rms < NOTHING_LEFT * noise_of(context, best) and not _fails_later(context, best)
+        white = context.colour(best) < COLOURED
+        return white and best.rms < NOTHING_LEFT * noise_of(context, best) and not _fails_later(context, best)
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(context, following)
 
 
@@ -490,6 +525,20 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
         return False
     instead = not context.dataset.tuned and not set(before.names) <= set(after.names)  # no mend of the first one's form
     return first or instead or weighs_enough(context, base.best, before, after)
+
+
+def _late_instead(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:
+    """Return moves that are late by times of their own: where no further move separates the two, both are reported."""
+    few = bool(chosen.problem.effects) and context.dataset.data.held.times.size <= FEWEST
+    return with_own_times(context, base, PAIR) if few or FLOW in chosen.names else []
+
+
+def _steps_instead(context: FitContext, chosen: Fitted, pool: Sequence[Fitted]) -> list[Fitted]:
+    """Return steps of the actuator in place of the closest curve that comes as near as another effect."""
+    if len(chosen.problem.effects) != 1:
+        return []
+    curves = [c for c in pool if len(c.names) == 1 and set(c.names) <= CURVES and c.rms < NOTHING_LEFT * chosen.rms]
+    return with_steps(context, closest_first(curves)[0])[1] if curves else []
 
 
 def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
