@@ -253,12 +253,18 @@ def is_close(row: Row, by: str = "after") -> bool:
     return bool(row.get(by, math.nan) <= 1.1)
 
 
+def is_its_name(row: Row) -> bool:
+    """Return whether the first name is right by itself: not one that the record cannot separate from it."""
+    return bool(row.get("first") and row["names"][0] in right_names(f"{row['name']}:{row['form']}"))
+
+
 def has(verdict: str, row: Row) -> bool:
     return bool(row["verdict"] == verdict)
 
 
 FIGURES = {
     "right first": lambda r: r.get("first"),
+    "by that name": is_its_name,
     "alone": lambda r: r.get("alone"),
     "explained": partial(has, "explained"),
     "by another name": is_wrong,
