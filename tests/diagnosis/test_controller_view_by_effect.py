@@ -77,6 +77,11 @@ def test_a_zero_that_no_model_holds_leaves_no_process(process, Z):
     assert controller_view(process, None, [found("inverse_response", Z=Z)]) is None
 
 
+def test_no_model_holds_a_second_way_with_a_lag_of_its_own():
+    """Gains that ignore it could be unstable."""
+    assert controller_view(PLANT, None, [found("inverse_response", time_constant_s=2.0, share_against=0.4)]) is None
+
+
 @pytest.mark.parametrize(
     ("share", "time_constant_s", "held"), [(0.4, 200.0, True), (0.9, 15.0, False), (1.2, 200.0, False)]
 )
