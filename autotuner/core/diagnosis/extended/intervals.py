@@ -51,6 +51,8 @@ MOST_MORE = 4.0
 TRIED, NEAREST = 50, 1e-4
 BISECTIONS = 6
 """Halvings of the last step of a profile: its end is found to a 64th of it, 0.3 % of the distance from the centre."""
+SHARES = {"share": 1.0, "share_against": -1.0}
+"""Sizes that are shares of the static gain beside the process, and whether they add to it."""
 RIDGE = 1e-14
 """Regularisation of normal equations whose columns have length 1: above rounding (2e-16), below any information."""
 Interval = tuple[float, float]
@@ -191,10 +193,6 @@ def _parameters(fitted: Fitted, theta: FloatArray, linear: FloatArray) -> Mappin
     structure = fitted.problem.structure
     shape, D, _ = fitted.problem.split(theta)
     return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
-
-
-SHARES = {"share": 1.0, "share_against": -1.0}
-"""Sizes that are shares of the static gain beside the process, and whether they add to it."""
 
 
 def whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | None:

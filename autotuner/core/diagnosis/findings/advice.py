@@ -35,8 +35,8 @@ REMEDIES: dict[str, str] = {
     "find what changed the flow or the line; tune for the longer one",
     "extra_lag": "a further lag of {time_constant_s:.3g} s is in the loop: check sensor well and filter; use the "
     "gains of the extended model",
-    "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model, "
-    "without much derivative action",
+    "inverse_response": "the PV first answers the wrong way (zero at {Z:.3g} s): use the gains of the extended model "
+    "where it has any, without much derivative action",
     "integrating": "it does not settle: use gains for an integrating process",
     "slow_mode": "a slow second mode ({time_constant_s:.3g} s) carries a part of the answer: expect a long creep after "
     "each step; integral action takes care of it",

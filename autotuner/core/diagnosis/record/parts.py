@@ -25,7 +25,6 @@ import numpy as np
 from autotuner.core.diagnosis.record.dataset import input_of
 from autotuner.core.estimation.data import Data
 from autotuner.core.model.step_responses import Lag
-from autotuner.core.model.zoh_input import held_input
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.dataset import Dataset
@@ -34,14 +33,14 @@ if TYPE_CHECKING:
 
 TESTED = (0.2, 0.15, 0.1)
 """Shares of a record without a tail that are kept for the test: the first in which the output goes nowhere new."""
+TESTED_OF_A_TAIL = 0.3
+"""The same of a tuning's tail."""
 LAGS = (0.01, 0.03, 0.1)
 """Lags through which the output is seen, in lengths of the record: from a short stay to a long one."""
 ENOUGH = 20
 """Samples from which a smaller part than the largest is a test: their error is known to a sixth."""
 BEYOND = 0.1
 """How far beyond its range of before it goes where it goes somewhere new, over that range."""
-TESTED_OF_A_TAIL = 0.3
-"""The same of a tuning's tail."""
 FEWEST = 5
 """Samples that each part has at least; a record too short for that has no test part."""
 
@@ -97,7 +96,7 @@ def parts_of(recording: Recording) -> Parts:
 def _tested(recording: Recording) -> float:
     """Return the share of a record without a tail that is kept for the test."""
     t = recording.t - recording.t[0]
-    held = held_input(recording.acts_s - recording.t[0], recording.output)
+    held = input_of(recording, smooth=False, begins="")
     courses = [Lag(share * float(t[-1])).forced(held, t)[0][0] for share in LAGS]
     enough = [share for share in TESTED if np.count_nonzero(_late(t, share)) >= ENOUGH] or TESTED[:1]
     return next((share for share in enough if not any(_goes_beyond(c, _late(t, share)) for c in courses)), enough[-1])

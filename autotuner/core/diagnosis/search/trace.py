@@ -222,8 +222,10 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
     """Return explanations by one effect of other samples, the closest of each name, fitted to these."""
     closest = [c for c in _distinct(closest_first(earlier)) if len(c.problem.effects) == 1][:KNOWN]
-    problems = [replace(c.problem, dataset=context.dataset, rows=context.fine) for c in closest]
-    again = [fit(problem, c.theta) for problem, c in zip(problems, closest, strict=True)]
+    again = (
+        fit(replace(c.problem, dataset=context.dataset, rows=context.fine), c.theta)
+        for c in within(context.dataset.budget, closest)
+    )
     return [c for c in again if is_physical(c)]
 
 

@@ -10,8 +10,8 @@ above that at which the loss ends, over the gain: p = 1/2 free outflow (Torricel
 
 is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
 the PV, and on one side more than on the other (a). `s` the square of the range of `w`. Its next term, `c w^4`, shows
-what the other two leave open. The same of the second of two stores in a row alone are forms too: a tank below another
-one flows out by itself.
+what the other two leave open. Of two stores in a row, the second one may have a loss alone, like the lower of two
+tanks.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 FORMS = {"": 2.0, "outflow": 0.5, "radiation": 4.0}
 AT_THE_END = ("outflow", "radiation")
-"""Those that the last of two stores may have alone."""
+"""Losses by one number that the last of two stores may have alone."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
 RINGS = 2.0
@@ -55,10 +55,10 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion, Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    last = (
-        () if rings else (_cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END))
-    )
-    return (*(_loss(dataset, form) for form in FORMS), free, *last)
+    everywhere = (*(_loss(dataset, form) for form in FORMS), free)
+    if rings:
+        return everywhere
+    return (*everywhere, _cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END))
 
 
 def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
@@ -72,8 +72,7 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         b, a, *fourth = p[len(slow) :]
-        law = _power_law(a / half, b / half**2, sum(fourth) / half**3)
-        return with_loss_at_the_end(view, *law, slow_last=p[0] > 0.5) if last else with_loss(view, *law)
+        return _answer(view, _power_law(a / half, b / half**2, sum(fourth) / half**3), p[: len(slow)])
 
     def sizes(p: Sequence[float], _c: Sequence[float], g: float) -> Mapping[str, float]:
         b, a = p[len(slow) : len(slow) + 2]
@@ -94,6 +93,11 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
     return replace(cubic, next_terms=(fourth,))
 
 
+def _answer(view: View, law: tuple[Curve, Curve], slow_last: Sequence[float]) -> FloatArray:
+    """Return the response with a loss: of the last store alone where `slow_last` has which one that is."""
+    return with_loss_at_the_end(view, *law, slow_last=slow_last[0] > 0.5) if slow_last else with_loss(view, *law)
+
+
 def _power_law(a: float, b: float, c: float) -> tuple[Curve, Curve]:
     """Return `-(a w^2 + b w^3 + c w^4)` and its slope."""
     return (
@@ -111,8 +115,7 @@ def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
         b = p[-1] / swing
         if abs(b) < SMALLEST / swing:
             return view.forced(view.input)
-        law = excess(b, power)
-        return with_loss_at_the_end(view, *law, slow_last=p[0] > 0.5) if last else with_loss(view, *law)
+        return _answer(view, excess(b, power), p[:-1])
 
     return Effect(
         "nonlinear_loss",
