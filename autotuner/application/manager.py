@@ -2,7 +2,8 @@
 
 Invariants: one tuning a loop at a time; a tuning that was started is found under its identifier as long as the
 manager lives; a loop that a killed program left disturbed is released before anything new is started on it; closing the
-manager ends every running tuning and waits until its output is restored; from then on nothing is started.
+manager ends every running tuning and waits until its output is restored; from then on nothing is started; the result of
+a tuning is handed to the archive before its gains are written.
 """
 
 from __future__ import annotations
@@ -50,6 +51,10 @@ KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
 
 
+async def store_nothing() -> None:
+    """Do nothing: a program without an archive."""
+
+
 def random_id() -> str:
     """Return a new identifier that cannot be guessed."""
     return secrets.token_hex(6)
@@ -79,6 +84,9 @@ class Manager:
         Interrupted runs of killed programs.
     closing : bool
         Whether the manager is being closed.
+    store : callable
+        Stores the results so far, as far as that is possible; does not raise. Awaited before gains are written: after a
+        kill between two registers, the result to which these belong is known.
     """
 
     configuration: Configuration
@@ -90,6 +98,7 @@ class Manager:
     monitors: Monitors = field(init=False)
     left: InterruptedRuns = field(init=False)
     closing: bool = False
+    store: Callable[[], Coroutine[object, object, None]] = store_nothing
     _backends: dict[str, Backend] = field(default_factory=dict)
     _gain_services: dict[str, GainService] = field(default_factory=dict)
     _visits: dict[str, Visits] = field(default_factory=dict)
@@ -221,6 +230,7 @@ class Manager:
         self._again.add(tuning.id)
         try:
             if tuning.succeeded:
+                await self.store()
                 await self._gain_services[tuning.loop].use(tuning, self.pool if verify else None)
         except AutotunerError as error:
             tuning.trouble = str(error)
@@ -322,10 +332,14 @@ class Manager:
             await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is about to end
         self.must_be_given_back(tuning.loop)
         self._again.add(tuning.id)
-        task = self.hold(tuning, work())
+        task = self.hold(tuning, self._once_stored(work))
         task.add_done_callback(lambda _: self._again.discard(tuning.id))
         task.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved even without a caller
         return cast("T", await asyncio.shield(task))
+
+    async def _once_stored(self, work: Callable[[], Coroutine[object, object, T]]) -> T:
+        await self.store()
+        return await work()
 
     async def close(self) -> None:
         """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.

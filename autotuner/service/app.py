@@ -166,6 +166,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     try:
         manager.open()
         archive.open(manager)
+        manager.store = archive.flush
         await watch_on(app.state.watch_list, manager, lambda name: tuning_seen(name, manager, archive))
         yield
     finally:

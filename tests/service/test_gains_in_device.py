@@ -114,6 +114,31 @@ async def test_never_while_a_tuning_runs(serving, configure, loops, check_proble
         check_problem(await service.client.post(running["links"]["apply"]), 409, "wrong-state")
 
 
+@pytest.mark.parametrize("asked", [True, False], ids=["with the tuning", "later"])
+async def test_a_result_is_stored_before_its_gains_are_written(serving, configure, loops, asked):
+    """A program that is killed between two registers leaves a result that tells where the gains are from."""
+    async with serving(configure(loops())) as service:
+        gain_service, real = service.manager.gain_service("heater"), service.manager._backends["heater"]
+        seen = []
+
+        class Looking:
+            def __getattr__(self, name):
+                return getattr(real, name)
+
+            async def write(self, values):
+                if "kp" in values:
+                    seen.append(await service.app.state.archive.find(service.manager.newest_first()[0].id))
+                await real.write(values)
+
+        gain_service.operations.backend = Looking()
+        tuning = await tuned(service.client, apply=asked)
+        if not asked:
+            await service.client.post(tuning["links"]["apply"])
+        stored = seen[0].to_dict()
+        assert (stored["verdict"]["outcome"], stored["applied"]) == ("done", None)
+        assert stored["gains"]["Kp"] == tuning["gains"]["Kp"]
+
+
 class Clipping:
     """A device between: it clips one gain, or loses the link at a write."""
 

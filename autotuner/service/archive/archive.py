@@ -2,7 +2,8 @@
 
 Invariants:
 
-1. Read only: no tuning and no restore waits for the archive, or fails because of it. Failed writes are repeated.
+1. Read only: no tuning and no restore waits for the archive, or fails because of it. Failed writes are repeated. A
+   write of gains waits for one try: after a kill, the result of these gains is known.
 2. Events are on disk after `PERIOD_S` and one transaction: a killed service loses the samples of less than a second.
 3. A start first checks for free space, and is refused without it.
 4. In place (in virtual time) the thread's work runs synchronously, and less often.

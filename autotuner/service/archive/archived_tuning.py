@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 LOST = Verdict(
     Outcome.FAILED,
     "interrupted",
-    "the program ended in the middle of this tuning",
+    "the program ended before the result of this tuning was stored",
     "Check that the loop was released: the next start does that from its journal.",
 )
 BEFORE_ANYTHING: dict[str, Any] = {
