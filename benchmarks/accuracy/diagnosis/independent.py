@@ -258,6 +258,15 @@ def is_its_name(row: Row) -> bool:
     return bool(row.get("first") and row["names"][0] in right_names(f"{row['name']}:{row['form']}"))
 
 
+def is_alone_but_for_its_own(row: Row) -> bool:
+    """Return whether every further name is true of the record, too: nobody hid it, but it is there.
+
+    A plant of third order has a third lag. It begins at rest for the output that is asked for, which steps do not take.
+    """
+    own = {"extra_lag": row["plant"] == "third", "not_settled": row["name"] == "output_quantisation"}
+    return bool(row.get("first") and all(own.get(name) for name in row["names"][1:]))
+
+
 def has(verdict: str, row: Row) -> bool:
     return bool(row["verdict"] == verdict)
 
@@ -266,6 +275,7 @@ FIGURES = {
     "right first": lambda r: r.get("first"),
     "by that name": is_its_name,
     "alone": lambda r: r.get("alone"),
+    "alone but for what the record has": is_alone_but_for_its_own,
     "explained": partial(has, "explained"),
     "by another name": is_wrong,
     "confidently so": partial(is_wrong, least=0.8),

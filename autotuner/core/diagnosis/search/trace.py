@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects import catalogue
+from autotuner.core.diagnosis.effects.actuator.flow_delay import dead_time_jump
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_every
@@ -190,8 +191,10 @@ def trace(
     dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
+    chosen, in_place = _with_others_in_place(context, chosen, effects)
     chosen, stepped = with_steps(context, chosen)
-    pool += [*(stepped or _steps_instead(context, chosen, pool)), *(late or _late_instead(context, base, chosen))]
+    pool += [*in_place, *(stepped or _steps_instead(context, chosen, pool))]
+    pool += late or _late_instead(context, base, chosen)
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
@@ -275,6 +278,25 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
         if e.reads_as is None and not any(other.measured for other in c.problem.effects if other is not e)
     ]
     return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
+
+
+def _with_others_in_place(
+    context: FitContext, chosen: Fitted, effects: Sequence[Effect]
+) -> tuple[Fitted, list[Fitted]]:
+    """Return several effects, each the best one of those at its place beside the others, and all that was tried.
+
+    Where a search begins decides which of several curves of the actuator it finds beside a load.
+    """
+    tried: list[Fitted] = []
+    if context.dataset.tuned or len(chosen.names) < PAIR or any(e.measured for e in chosen.problem.effects):
+        return chosen, tried
+    for effect in chosen.problem.effects:
+        kept = [e for e in chosen.problem.effects if e is not effect]
+        others = [e for e in effects if e.place is effect.place and e.name not in chosen.names]
+        if effect.reads_as is None and others and not context.dataset.budget.spent:
+            tried += extend(context, [alone_beside(context, chosen, *kept)], others)
+    near = [c for c in tried if context.criterion(c, 1.0) < context.criterion(chosen, 1.0)]
+    return best_on_both_parts(context, [chosen, *near])[0], tried
 
 
 def _to_improve(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
@@ -530,9 +552,15 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
 
 
 def _late_instead(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:
-    """Return moves that are late by times of their own: where no further move separates the two, both are reported."""
+    """Return moves that are late by times of their own, and a dead time that jumps between two of them.
+
+    Where no further move separates them from another effect, all are reported.
+    """
     few = bool(chosen.problem.effects) and context.dataset.data.held.times.size <= FEWEST
-    return with_own_times(context, base, PAIR) if few or FLOW in chosen.names else []
+    if not few and FLOW not in chosen.names:
+        return []
+    jump = extend(context, base.origins, [dead_time_jump(context.dataset, fewest=1)])
+    return [*with_own_times(context, base, PAIR), *jump]
 
 
 def _steps_instead(context: FitContext, chosen: Fitted, pool: Sequence[Fitted]) -> list[Fitted]:

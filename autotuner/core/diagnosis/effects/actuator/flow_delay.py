@@ -68,8 +68,11 @@ def flow_delay(dataset: Dataset) -> Effect:
     )
 
 
-def dead_time_jump(dataset: Dataset) -> Effect:
-    """Return a dead time that jumps at a time: another flow of what carries it, another line to the sensor."""
+def dead_time_jump(dataset: Dataset, fewest: int = FEWEST_MOVES) -> Effect:
+    """Return a dead time that jumps at a time: another flow of what carries it, another line to the sensor.
+
+    It means that where `fewest` moves at least lie on either side.
+    """
     span, share = dataset.span_s, dataset.fitted_until_s / dataset.span_s
 
     def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
@@ -88,7 +91,7 @@ def dead_time_jump(dataset: Dataset) -> Effect:
         order=3,
         price=math.log(MOMENTS),
         group="timing",
-        means=lambda p, _c, _g, _shape: _moves_apart(dataset, p[0] * span) >= FEWEST_MOVES,
+        means=lambda p, _c, _g, _shape: _moves_apart(dataset, p[0] * span) >= fewest,
     )
 
 
