@@ -133,9 +133,17 @@ def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
 
 def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) -> bool:
     """Return whether the held-out part is uninformative: the effect had faded before it, or is not visible there."""
-    first, second = (rms(r) for r in held_out(context, before, after))
-    least = math.hypot(noise, context.dataset.floor)
-    return first < NOTHING_LEFT * least and second < NOTHING_LEFT * least
+    first, second = held_out(context, before, after)
+    most = _by_chance(first.size) * math.hypot(noise, context.dataset.floor)
+    return rms(first) < most and rms(second) < most
+
+
+def _by_chance(count: int) -> float:
+    """Return the misfit of a number of samples, over the noise, that counts as noise.
+
+    The mean square of `n` samples of noise is off by `sqrt(2/n)` of itself.
+    """
+    return max(NOTHING_LEFT, math.sqrt(1.0 + NORMAL_99 * math.sqrt(2.0 / count)))
 
 
 def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
@@ -151,7 +159,8 @@ def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
         for rows in (after.problem.rows, context.held_out)
     )
     spread = elsewhere @ np.linalg.pinv(fitted)
-    most = noise * math.sqrt(NOTHING_LEFT**2 + NORMAL_99**2 * float(np.mean(np.sum(spread**2, axis=1))))
+    by_chance = _by_chance(elsewhere.shape[0])
+    most = noise * math.sqrt(by_chance**2 + NORMAL_99**2 * float(np.mean(np.sum(spread**2, axis=1))))
     return context.held_out_error(after) < most < MOST_UNSURE * noise
 
 

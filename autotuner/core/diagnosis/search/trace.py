@@ -41,6 +41,7 @@ from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
     is_beside_free_load,
+    is_foreseen,
     is_helpful,
     is_supported,
     noise_of,
@@ -502,8 +503,17 @@ def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: 
         return True
     if accepted:
         white = context.colour(best) < COLOURED
-        return white and best.rms < NOTHING_LEFT * noise_of(context, best) and not _fails_later(context, best)
+        return white and best.rms < NOTHING_LEFT * noise_of(context, best) and _holds_later(context, best)
     return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(context, following)
+
+
+def _holds_later(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether an explanation predicts the other part, or errs there by no more than its numbers may be off."""
+    if context.dataset.tuned:
+        return True
+    noise = noise_of(context, candidate)
+    near = context.held_out_error(candidate) < VISIBLE * noise or is_foreseen(context, candidate, noise)
+    return near and not _fails_later(context, candidate)
 
 
 def _fails_later(context: FitContext, candidate: Fitted) -> bool:
