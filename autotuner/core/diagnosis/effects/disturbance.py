@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     Sizes = Callable[[Sequence[float], Sequence[float], float], Mapping[str, float]]
     Way = tuple[str, tuple[Searched, ...], Sequence[tuple[float, ...]], Columns]
 
+STEP_OVER_NOISE = math.sqrt(12.0)
+"""A step of rounding over the standard deviation of its error, which is uniform (Widrow and Kollar, 2008)."""
 MOMENTS = 24
 """Moments at which a step is tried."""
 FEW_MOVES = 60
@@ -105,6 +107,7 @@ def load_at_the_input(dataset: Dataset) -> Effect:
 
 
 def _bias_step(dataset: Dataset, moments: Sequence[float]) -> Effect:
+    """Return a jump of the reading; one as small as a step of a rounded reading is rounding, of two steady values."""
     span, interval = dataset.span_s, dataset.data.interval_s
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
@@ -120,6 +123,7 @@ def _bias_step(dataset: Dataset, moments: Sequence[float]) -> Effect:
         columns=columns,
         price=math.log(2 * MOMENTS),
         group="jump",
+        means=lambda _p, c, _g, _shape: abs(c[0]) > STEP_OVER_NOISE * dataset.grid_noise,
         blur=lambda _p: {"at_s": 0.5 * interval},
     )
 
