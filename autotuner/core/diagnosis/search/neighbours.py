@@ -70,8 +70,17 @@ def _alike(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...]) -> lis
         if form in known or len(form) != len(problem.effects) or _is_split(other) != split:
             continue
         known.add(form)
-        found += [other] if context.held_out_error(other) < most else []
+        found += [_as_plain(chosen, other)] if context.held_out_error(other) < most else []
     return found
+
+
+def _as_plain(chosen: Fitted, other: Fitted) -> Fitted:
+    """Return another form with one lag where the chosen one needs no second: both are then as rich."""
+    problem = other.problem
+    if chosen.problem.structure is not FOPDT or problem.structure is not SECOND_ORDER:
+        return other
+    single = fit(replace(problem, structure=FOPDT), np.delete(other.theta, 1), FINE_STEPS)
+    return single if is_physical(single) else other
 
 
 def _is_split(candidate: Fitted) -> bool:
