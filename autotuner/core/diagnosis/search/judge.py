@@ -214,7 +214,7 @@ def is_supported(evidence: Evidence, *, first: bool, seen_held_out: bool) -> boo
     """Return whether an effect is named."""
     share = FIRST_SHARE if first else FURTHER_SHARE
     ratio, z = evidence.held_out_ratio, evidence.held_out_z
-    confirmed = seen_held_out and _is_confirmed(evidence)
+    confirmed = seen_held_out and evidence.gain > 0.0 and _is_confirmed(evidence)
     unseen = not seen_held_out and ratio < WORSE
     excused = (evidence.quiet or evidence.foreseen) and evidence.gain > MUCH_GAIN
     return (
