@@ -4,7 +4,8 @@
                + error by unknown delays of moves
 
     adequate           no effect; at most 1.5 times the expected error on the fitted part, and 2 on the selection part,
-                       or 3 for autoregressive noise, whose innovations were judged (see `coloured_noise`)
+                       or 3 for autoregressive noise, whose innovations were judged (see `coloured_noise`); or as much
+                       as the errors of the process's numbers make there
     explained          effects; at most 2 times the expected error on both parts; no reason against them in `doubts`
     partly_explained   effects that explain a good part of the error on the selection part, and fail one of these
     unexplained        anything else
@@ -15,6 +16,7 @@ each failed condition is named, so that a reader knows why an effect is only a h
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ GOOD_PART = 0.7
 
 
 def verdict_of(
-    effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str], *, has_memory: bool = False
+    effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str], *, has_memory: bool = False, foreseen: bool = False
 ) -> Outcome:
     """Return the verdict.
 
@@ -47,8 +49,10 @@ def verdict_of(
         Why effects are hypotheses only.
     has_memory : bool
         Whether the residual is noise with a memory, and no more than that.
+    foreseen : bool
+        Whether the errors of the numbers make the error on the selection part.
     """
-    most = WITH_MEMORY if has_memory else FEW
+    most = math.inf if foreseen else WITH_MEMORY if has_memory else FEW
     fitted, selection = error["fitted"], error["selection"]
     if effects:
         if fitted.after <= FEW * fitted.expected and selection.after <= FEW * selection.expected and not doubts:

@@ -34,7 +34,7 @@ from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Mis
 from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.detectability import blind_spots
-from autotuner.core.diagnosis.search.judge import noise_of
+from autotuner.core.diagnosis.search.judge import is_foreseen, noise_of
 from autotuner.core.diagnosis.search.neighbours import neighbours
 from autotuner.core.diagnosis.search.simplify import with_third_lag
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -113,7 +113,7 @@ def reported(
     error = errors.by_part()
     covariance = process_covariance(context, found.chosen, neighbours(context, found.chosen, found.pool))
     doubts = _doubts(context, found, effects, errors, error["selection"], covariance, sensor)
-    verdict, cut = _outcome(context, effects, error, doubts, has_memory=coloured is not None)
+    verdict, cut = _outcome(context, found.chosen, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
     before = model if model is not None else found.alone.process()
@@ -170,6 +170,7 @@ def _all_effects(
 
 def _outcome(
     context: FitContext,
+    chosen: Fitted,
     effects: tuple[FoundEffect, ...],
     error: dict[str, Misfit],
     doubts: list[str],
@@ -177,7 +178,8 @@ def _outcome(
     has_memory: bool,
 ) -> tuple[Outcome, bool]:
     """Return the verdict, and whether it is that of a search which the time limit ended."""
-    verdict = verdict_of(effects, error, doubts, has_memory=has_memory)
+    foreseen = not effects and is_foreseen(context, chosen, chosen.rms)
+    verdict = verdict_of(effects, error, doubts, has_memory=has_memory, foreseen=foreseen)
     cut = context.dataset.budget.spent and verdict != "adequate"
     return ("unexplained" if cut else verdict), cut
 

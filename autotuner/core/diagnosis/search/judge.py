@@ -138,7 +138,7 @@ def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) 
     return rms(first) < most and rms(second) < most
 
 
-def _by_chance(count: int) -> float:
+def _by_chance(count: float) -> float:
     """Return the misfit of a number of samples, over the noise, that counts as noise.
 
     The mean square of `n` samples of noise is off by `sqrt(2/n)` of itself.
@@ -150,7 +150,8 @@ def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
     """Return whether noise is left, and elsewhere what the errors of the numbers make there: not much more than noise.
 
     These errors add the mean of `j (J'J)^-1 j'` to the variance of a prediction, by that of the noise, `J` and `j` the
-    slopes of the simulated PV with all numbers on both parts (Ljung, System Identification, 1999, section 9.2).
+    slopes of the simulated PV with all numbers on both parts (Ljung, System Identification, 1999, section 9.2). Of a
+    coloured residual, as many samples fewer are independent.
     """
     if after.rms >= NOTHING_LEFT * noise or is_beside_free_load(after):
         return False
@@ -159,8 +160,9 @@ def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
         for rows in (after.problem.rows, context.held_out)
     )
     spread = elsewhere @ np.linalg.pinv(fitted)
-    by_chance = _by_chance(elsewhere.shape[0])
-    most = noise * math.sqrt(by_chance**2 + NORMAL_99**2 * float(np.mean(np.sum(spread**2, axis=1))))
+    colour = context.colour(after)
+    by_chance = _by_chance(elsewhere.shape[0] / colour)
+    most = noise * math.sqrt(by_chance**2 + NORMAL_99**2 * colour * float(np.mean(np.sum(spread**2, axis=1))))
     return context.held_out_error(after) < most < MOST_UNSURE * noise
 
 
