@@ -289,11 +289,14 @@ def _left_in_all(found: Trace) -> float:
 
 
 def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
-    """Return whether effects that were fitted to more of the record explain all of it better, with the same sign."""
+    """Return whether what was fitted to more of the record explains all of it better, with the same sign.
+
+    That is effects, or the process alone where that is the answer so far: its numbers may only have been unsure.
+    """
     context, other, later, _ = again
     one_sign = float(base.best.linear[0]) * float(other.best.linear[0]) > 0.0
     better = one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
-    return bool(later.chosen.problem.effects) and better
+    return better and bool(later.chosen.problem.effects or not found.chosen.problem.effects)
 
 
 def _is_as_good_later(context: FitContext, found: Trace) -> bool:
