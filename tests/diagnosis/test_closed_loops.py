@@ -58,6 +58,14 @@ def test_autoregressive_noise_in_a_short_record_is_no_effect(seed, plant):
     assert diagnose(Recording.from_csv_text(record.csv())).verdict == "adequate"
 
 
+@pytest.mark.parametrize(("seed", "noise"), [(750, "white"), pytest.param(747, "coloured", marks=pytest.mark.long)])
+def test_a_relay_record_that_ends_in_steps_is_adequate_though_its_numbers_were_unsure_until_then(seed, noise):
+    """What a relay leaves open of the process makes an error at the steps, and no effect is missing."""
+    record = record_of(Case("clean", seed, "relay", noise))
+    answer = diagnose(Recording.from_csv_text(record.csv()))
+    assert (answer.verdict, answer.effects) == ("adequate", ())
+
+
 @pytest.mark.parametrize("run", [[5.0], [5.0, 5.0, 5.0], [3.0, 5.0], [-4.0, 6.0]])
 def test_a_short_run_that_comes_back_by_a_jump_is_wild(run):
     residual = 0.1 * np.random.default_rng(1).standard_normal(200)

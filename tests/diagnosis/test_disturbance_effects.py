@@ -1,6 +1,7 @@
 """Disturbances, sensor errors and free forms against the simulator's loads and offsets, and closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,6 +128,17 @@ def test_what_adds_to_the_pv_is_the_simulators(plant, key, p, offset, sizes):
     assert left(fitted) < 1e-9
     assert left(at_the_truth(recording, plant)) > 0.02
     assert fitted.sizes() == [pytest.approx(sizes)]
+
+
+@pytest.mark.parametrize(("size", "is_one"), [(0.39, False), (-0.39, False), (0.41, True), (-0.41, True)])
+def test_a_jump_of_a_reading_that_is_rounded_to_two_fifths_is_larger_than_that(size, is_one):
+    """Two steady values may each be rounded by half a step, to either side."""
+    exact = record(PAIR, moves(), offsets=[BiasStep(120.5, 3.0)])
+    dataset = dataset_of(Recording(exact.t, exact.output, 0.4 * np.round(exact.pv / 0.4)))
+    rounded = replace(dataset, grid_noise=0.4 / math.sqrt(12.0))
+    for known, expected in ((rounded, is_one), (dataset, True)):
+        jump = of_form(disturbance_effects(known, [known.data.pv], []), "bias_step")
+        assert jump.means((0.5,), (size,), 1.0, ()) is expected
 
 
 def test_a_jump_there_and_back_is_two_of_the_simulators():

@@ -19,6 +19,7 @@ from autotuner.core.diagnosis.effects.actuator.flow_delay import (
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.effects import EffectPlugin, check_effect
 from autotuner_sim import PlugFlow
+from benchmarks.accuracy.diagnosis.independent import Case, record_of
 from tests.diagnosis.cases import PLANTS, SAMPLE_S, swing_of_pv, tuning_record
 
 pytestmark = pytest.mark.usefixtures("without_gains")
@@ -153,3 +154,13 @@ def test_a_dead_time_that_jumps_conforms():
         return [replace(dead_time_jump(dataset), name="line")]
 
     assert check_effect(EffectPlugin("line", make, "{later_over_first:.3g} times")) == []
+
+
+@pytest.mark.parametrize(("seed", "experiment"), [(748, "short"), (752, "short")])
+def test_a_dead_time_that_jumps_between_two_moves_is_one_answer_of_several(seed, experiment):
+    """Two moves that are late by different times tell no more than that: a flow that follows the output does it too."""
+    key = "dead_time_jump:at once" if seed == 748 else "dead_time_jump:within a while"
+    answer = diagnose(Recording.from_csv_text(record_of(Case(key, seed, experiment)).csv()))
+    (only,) = answer.effects
+    assert "dead_time_jump" in only.indistinguishable
+    assert only.confidence <= 0.5

@@ -21,6 +21,7 @@ from autotuner.core.diagnosis.search.neighbours import neighbours
 from autotuner.core.diagnosis.search.simplify import with_best_moment
 from autotuner.core.estimation.noise.slow_part import remembered, slow_part
 from autotuner.core.model.step_responses import Lag
+from autotuner.core.model.structures import SECOND_ORDER
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
 from tests.diagnosis.simulated import LAG, PAIR, at_the_truth, moves, of_form
@@ -111,6 +112,23 @@ def test_the_slope_of_a_curve_at_rest_is_held_by_a_cubic_and_its_next_term():
         together += off > half_width(context, found, neighbours(context, found))
     assert alone > MOST
     assert together <= MOST
+
+
+def test_the_slope_of_a_curve_at_rest_is_held_where_limits_come_as_near():
+    """Five levels on `12 tanh(u/12)`: a cubic meets each of them, and so do limits, with another slope at rest."""
+    u = np.repeat(np.random.default_rng(7).choice([-14.0, -7.0, 0.0, 7.0, 14.0], 20), 15)
+    u[:15] = 0.0
+    recording = measured(u, in_series(12.0 * np.tanh(u / 12.0), LAG.K, (LAG.T,), LAG.D), 0.1, 1)
+    curve = of_form(actuator_effects(dataset_of(recording), [], {}), "static_nonlinearity:cubic")
+    limits = of_form(actuator_effects(dataset_of(recording), [], {}), "saturation:both")
+    context, found = refitted(recording, LAG, (curve, ()))
+    pair = replace(found.problem, structure=SECOND_ORDER, effects=(limits,), rows=context.fine)
+    # With a second lag, which an answer of one lag does not need: the odds are those of the forms alone.
+    theta = np.concatenate((found.theta[:1], found.theta[:1] - 3.0, found.theta[1:2], limits.starts[0]))
+    other = fit(pair, theta, 40)
+    off = abs(found.process().K - LAG.K)
+    assert other.rms < 1.05 * found.rms
+    assert half_width(context, found) < off < half_width(context, found, neighbours(context, found, (other,)))
 
 
 def test_the_next_term_of_a_loss_leaves_its_sizes_open():

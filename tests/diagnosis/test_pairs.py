@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
@@ -18,7 +19,7 @@ from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
 from autotuner.core.diagnosis.search.dynamics_search import with_process_beside_wave
-from autotuner.core.diagnosis.search.judge import held_out, is_foreseen, is_supported, weigh, weighs_enough
+from autotuner.core.diagnosis.search.judge import by_chance, held_out, is_foreseen, is_supported, weigh, weighs_enough
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_drift, with_plain_limit, with_steps
 from autotuner.core.diagnosis.search.trace import (
@@ -279,6 +280,36 @@ def test_an_error_elsewhere_is_foreseen_where_the_numbers_make_it(output, off, e
     start = at_the_truth(recording, LAG, dataset=context.dataset)
     right = fit(replace(start.problem, rows=context.fine), start.theta, 0)
     assert is_foreseen(context, right, SIGMA) is expected
+
+
+@pytest.mark.parametrize(("seed", "experiment"), [(735, "short"), (736, "relay")])
+def test_every_curve_of_the_actuator_is_tried_beside_a_load(seed, experiment):
+    """The search came to a parabola or a cubic beside the load; the limit, which is there, comes as near."""
+    hidden = record_of(Case("saturation:hard + load_step:step", seed, experiment))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    alike = {e.name: e.indistinguishable for e in answer.effects}
+    assert alike.keys() == {"saturation", "load_step"}
+    assert "static_nonlinearity" in alike["saturation"]
+    assert answer.error["held_out"].after < 1.1 * hidden.sigma
+
+
+@pytest.mark.long  # the rule is shown by the parts of few samples
+def test_play_beside_a_slow_wave_is_named_where_few_samples_are_left_to_confirm_it():
+    hidden = record_of(Case("backlash:play + ambient:slow wave", 735, "random"))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    named = {e.name: e.indistinguishable for e in answer.effects}
+    assert "ambient" in named
+    assert "backlash" in {*named, *(other for others in named.values() for other in others)}
+    assert answer.error["held_out"].after < 1.1 * hidden.sigma
+
+
+@pytest.mark.parametrize("count", [10, 26, 100, 300, 1000])
+def test_white_noise_counts_as_noise_on_a_part_of_few_samples(count):
+    """By the distribution of chi squared: 98 to 99.9 % of such parts are below; it is never less than 1.12."""
+    squares = scipy.stats.chi2.cdf(count * by_chance(count) ** 2, count)
+    assert by_chance(count) >= 1.12
+    assert squares > 0.98
+    assert by_chance(count) == 1.12 or squares < 0.999
 
 
 @pytest.mark.long  # how each is found is shown above

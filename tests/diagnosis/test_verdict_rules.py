@@ -47,6 +47,14 @@ def test_a_model_alone_at_its_bounds(fitted, selection, has_memory, expected):
     assert verdict_of((), at, (), has_memory=has_memory) == expected
 
 
+@pytest.mark.parametrize(("fitted", "expected"), [(1.49, "adequate"), (1.5, "unexplained")])
+def test_an_error_of_the_numbers_themselves_makes_no_model_alone_inadequate(fitted, expected):
+    at = errors((fitted, fitted), (5.0, 5.0))
+    assert verdict_of((), at, (), foreseen=True) == expected
+    assert verdict_of((), at, ()) == "unexplained"
+    assert verdict_of((PLAY,), at, (), foreseen=True) != "explained"
+
+
 @pytest.mark.parametrize(("fitted", "selection", "expected"), [
     ((1.5, 1.0), (1.0, 1.0), "explained"),  # other values of the declared model
     ((1.49, 1.0), (2.01, 1.0), "explained"),
@@ -206,6 +214,8 @@ WEAK = replace(GOOD, gain=14.0, held_out_ratio=0.72, held_out_z=2.4)
     (replace(WEAK, held_out_ratio=0.51, held_out_z=1.61), False),
     (replace(WEAK, held_out_ratio=0.69, held_out_z=2.51), True),
     (replace(WEAK, held_out_ratio=0.71, held_out_z=2.51), False),
+    (replace(WEAK, held_out_ratio=0.49, held_out_z=1.61, gain=0.0), False),  # the criterion has to allow it
+    (replace(WEAK, held_out_ratio=0.49, held_out_z=1.61, gain=0.1), True),
     (replace(GOOD, held_out_ratio=1.0, held_out_z=0.0, quiet=True, gain=60.0), False),
     (replace(GOOD, held_out_ratio=1.0, held_out_z=0.0, quiet=True, gain=60.1), True),
     (replace(GOOD, held_out_ratio=1.0, held_out_z=0.0, quiet=False, gain=60.1), False),

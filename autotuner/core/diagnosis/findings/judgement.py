@@ -35,7 +35,12 @@ GOOD_PART = 0.7
 
 
 def verdict_of(
-    effects: Sequence[FoundEffect], error: Mapping[str, Misfit], doubts: Sequence[str], *, has_memory: bool = False, foreseen: bool = False
+    effects: Sequence[FoundEffect],
+    error: Mapping[str, Misfit],
+    doubts: Sequence[str],
+    *,
+    has_memory: bool = False,
+    foreseen: bool = False,
 ) -> Outcome:
     """Return the verdict.
 

@@ -134,11 +134,11 @@ def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
 def _is_quiet(context: FitContext, before: Fitted, after: Fitted, noise: float) -> bool:
     """Return whether the held-out part is uninformative: the effect had faded before it, or is not visible there."""
     first, second = held_out(context, before, after)
-    most = _by_chance(first.size) * math.hypot(noise, context.dataset.floor)
+    most = by_chance(first.size) * math.hypot(noise, context.dataset.floor)
     return rms(first) < most and rms(second) < most
 
 
-def _by_chance(count: float) -> float:
+def by_chance(count: float) -> float:
     """Return the misfit of a number of samples, over the noise, that counts as noise.
 
     The mean square of `n` samples of noise is off by `sqrt(2/n)` of itself.
@@ -161,8 +161,8 @@ def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
     )
     spread = elsewhere @ np.linalg.pinv(fitted)
     colour = context.colour(after)
-    by_chance = _by_chance(elsewhere.shape[0] / colour)
-    most = noise * math.sqrt(by_chance**2 + NORMAL_99**2 * colour * float(np.mean(np.sum(spread**2, axis=1))))
+    alone = by_chance(elsewhere.shape[0] / colour)
+    most = noise * math.sqrt(alone**2 + NORMAL_99**2 * colour * float(np.mean(np.sum(spread**2, axis=1))))
     return context.held_out_error(after) < most < MOST_UNSURE * noise
 
 
