@@ -11,7 +11,14 @@ from autotuner import Recording
 from autotuner.core.design.gains import PidGains
 from autotuner.core.diagnosis.extended.extended_model import Extended, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of, thinned
-from autotuner.core.diagnosis.findings.gain_comparison import Design, Known, both_gains, calmer_note, lasts_s
+from autotuner.core.diagnosis.findings.gain_comparison import (
+    Design,
+    Known,
+    both_gains,
+    calmer_note,
+    lasts_s,
+    missing_note,
+)
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.diagnosis.findings.sensor_effects import outside_free
 from autotuner.core.diagnosis.record.budget import UNLIMITED, Budget
@@ -121,6 +128,17 @@ def test_calmer_gains_are_told_where_they_cost_less(asked, calm, reported):
         assert f"Kp {10.0 / (2.0 * 12.0):.4g}, Ti 10" in words
     else:
         assert calmer_note(told) == []
+
+
+def test_a_process_without_gains_says_so():
+    """A second way has a time constant of its own, and no model of ours holds that."""
+    second = FoundEffect("inverse_response", "process", {"time_constant_s": 3.0, "share_against": 0.3}, {}, 1.0)
+    shown = both_gains(Known(PLANT), Known(PLANT), (second,), DATASET)
+    assert shown["after"] is None
+    (words,) = missing_note(shown, (second,))
+    assert words.startswith("no gains after: none can be computed for a process with inverse_response")
+    assert missing_note(both_gains(Known(PLANT), Known(PLANT), (PLAY,), DATASET), (PLAY,)) == []
+    assert missing_note({"before": None, "after": None}, (second,)) == []
 
 
 @pytest.mark.parametrize(("model", "expected"), [

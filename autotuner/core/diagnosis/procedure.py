@@ -60,9 +60,7 @@ LATE = 2.0
 """Misfit over noise of the part not fitted from which a model fails on it."""
 LEAST_SHARE, MOST_SHARE = 0.2, 0.8
 """Least and most of it that is fitted where only that part decides."""
-LEFT_OPEN = (
-    "what is missing shows after the fitted part only: some of what follows was fitted, too, and the rest judged"
-)
+LEFT_OPEN = "what decides shows after the fitted part only: some of what follows was fitted, too, and the rest judged"
 NO_DELAY, FAR_CLOSER = 0.05, 0.7
 """Dead time, in samples, that counts as zero, and ratio of the errors below which the output is not held."""
 SMOOTH = "the output is taken to move smoothly between its samples: held from each to the next, it comes too late"

@@ -176,6 +176,14 @@ def _cost(compared: Mapping[str, object] | None) -> float:
     return float(cost) if math.isfinite(cost) else math.inf
 
 
+def missing_note(gains: Mapping[str, Any], effects: Sequence[FoundEffect]) -> list[str]:
+    """Return the note on a process with effects for which there are no gains."""
+    if gains.get("before") is None or gains.get("after") is not None:
+        return []
+    names = " and ".join(effect.name for effect in effects)
+    return [f"no gains after: none can be computed for a process with {names}; those before ignore it: watch that loop"]
+
+
 def calmer_note(gains: Mapping[str, Any]) -> list[str]:
     """Return the note on calmer gains, where they cost less with the effects in the loop."""
     if gains.get("calmer") is None:
