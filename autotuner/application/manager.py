@@ -9,6 +9,7 @@ a tuning is handed to the archive before its gains are written.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import secrets
 from dataclasses import dataclass, field
@@ -51,6 +52,10 @@ KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
 
 
+STORED_WITHIN_S = 5.0
+"""Longest wait for the archive before gains are written, s: a write takes some milliseconds."""
+
+
 async def store_nothing() -> None:
     """Do nothing: a program without an archive."""
 
@@ -85,8 +90,9 @@ class Manager:
     closing : bool
         Whether the manager is being closed.
     store : callable
-        Stores the results so far, as far as that is possible; does not raise. Awaited before gains are written: after a
-        kill between two registers, the result to which these belong is known.
+        Stores the results so far, as far as that is possible; does not raise. Awaited before gains of a tuning are
+        written, for `STORED_WITHIN_S` at most: after a kill between two registers, the result to which these belong is
+        known. A rollback does not wait for it.
     """
 
     configuration: Configuration
@@ -230,7 +236,7 @@ class Manager:
         self._again.add(tuning.id)
         try:
             if tuning.succeeded:
-                await self.store()
+                await self._results_stored()
                 await self._gain_services[tuning.loop].use(tuning, self.pool if verify else None)
         except AutotunerError as error:
             tuning.trouble = str(error)
@@ -314,8 +320,12 @@ class Manager:
         set_point = last.set_point if math.isfinite(last.set_point) else None
         return Reading(utc_now(), last.pv, last.output, set_point, link="up")
 
-    async def with_loop(self, tuning: TuningRun, work: Callable[[], Coroutine[object, object, T]]) -> T:
+    async def with_loop(
+        self, tuning: TuningRun, work: Callable[[], Coroutine[object, object, T]], *, applies: bool = False
+    ) -> T:
         """Let an ended tuning hold its loop again during `work`, which continues when the caller is cancelled.
+
+        Work that `applies` its gains begins once its result is stored.
 
         Raises
         ------
@@ -332,14 +342,19 @@ class Manager:
             await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is about to end
         self.must_be_given_back(tuning.loop)
         self._again.add(tuning.id)
-        task = self.hold(tuning, self._once_stored(work))
+        task = self.hold(tuning, self._once_stored(work) if applies else work())
         task.add_done_callback(lambda _: self._again.discard(tuning.id))
         task.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved even without a caller
         return cast("T", await asyncio.shield(task))
 
     async def _once_stored(self, work: Callable[[], Coroutine[object, object, T]]) -> T:
-        await self.store()
+        await self._results_stored()
         return await work()
+
+    async def _results_stored(self) -> None:
+        with contextlib.suppress(TimeoutError):  # a database that hangs keeps no gains back
+            async with asyncio.timeout(STORED_WITHIN_S):
+                await self.store()
 
     async def close(self) -> None:
         """End every running tuning, wait until its output is restored, and give the workers back; may be repeated.

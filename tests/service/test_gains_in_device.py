@@ -139,6 +139,20 @@ async def test_a_result_is_stored_before_its_gains_are_written(serving, configur
         assert stored["gains"]["Kp"] == tuning["gains"]["Kp"]
 
 
+async def test_a_database_that_hangs_keeps_gains_back_for_seconds_and_a_rollback_not_at_all(serving, configure, loops):
+    async with serving(configure(loops())) as service:
+        tuning = await tuned(service.client)
+        service.manager.store = asyncio.Event().wait
+        clock = asyncio.get_running_loop()
+        begun = clock.time()
+        assert (await service.client.post(tuning["links"]["apply"])).status_code == 200
+        applied = clock.time()
+        assert 5.0 <= applied - begun < 6.0
+        back = (await service.client.post(tuning["links"]["rollback"])).json()
+        assert back["now"]["values"] == OLD
+        assert clock.time() - applied < 1.0
+
+
 class Clipping:
     """A device between: it clips one gain, or loses the link at a write."""
 
