@@ -43,15 +43,15 @@ if TYPE_CHECKING:
     from autotuner.application.tuning_run import MakeConductor
     from autotuner.configuration import Configuration, LoopTable
     from autotuner.control.compute_port import ComputePool
+    from autotuner.control.gains.apply import Applied
     from autotuner.control.records.open_journal import OpenJournal
+    from autotuner.core.design import PidGains
     from autotuner.ports import Backend
 
 T = TypeVar("T")
 
 KEPT = 200
 """Ended tunings that are remembered; the oldest go first."""
-
-
 STORED_WITHIN_S = 5.0
 """Longest wait for the archive before gains are written, s: a write takes some milliseconds."""
 
@@ -320,12 +320,8 @@ class Manager:
         set_point = last.set_point if math.isfinite(last.set_point) else None
         return Reading(utc_now(), last.pv, last.output, set_point, link="up")
 
-    async def with_loop(
-        self, tuning: TuningRun, work: Callable[[], Coroutine[object, object, T]], *, applies: bool = False
-    ) -> T:
+    async def with_loop(self, tuning: TuningRun, work: Callable[[], Coroutine[object, object, T]]) -> T:
         """Let an ended tuning hold its loop again during `work`, which continues when the caller is cancelled.
-
-        Work that `applies` its gains begins once its result is stored.
 
         Raises
         ------
@@ -342,14 +338,15 @@ class Manager:
             await asyncio.wait([self._tasks[holder.id]])  # its verdict is known, and it is about to end
         self.must_be_given_back(tuning.loop)
         self._again.add(tuning.id)
-        task = self.hold(tuning, self._once_stored(work) if applies else work())
+        task = self.hold(tuning, work())
         task.add_done_callback(lambda _: self._again.discard(tuning.id))
         task.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved even without a caller
         return cast("T", await asyncio.shield(task))
 
-    async def _once_stored(self, work: Callable[[], Coroutine[object, object, T]]) -> T:
+    async def apply(self, tuning: TuningRun, gains: PidGains) -> Applied:
+        """Write gains of a tuning that holds its loop, once its result is stored; see `GainService.apply`."""
         await self._results_stored()
-        return await work()
+        return await self._gain_services[tuning.loop].apply(tuning, gains)
 
     async def _results_stored(self) -> None:
         with contextlib.suppress(TimeoutError):  # a database that hangs keeps no gains back

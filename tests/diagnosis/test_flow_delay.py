@@ -156,11 +156,10 @@ def test_a_dead_time_that_jumps_conforms():
     assert check_effect(EffectPlugin("line", make, "{later_over_first:.3g} times")) == []
 
 
-@pytest.mark.parametrize(("seed", "experiment"), [(748, "short"), (752, "short")])
-def test_a_dead_time_that_jumps_between_two_moves_is_one_answer_of_several(seed, experiment):
-    """Two moves that are late by different times tell no more than that: a flow that follows the output does it too."""
-    key = "dead_time_jump:at once" if seed == 748 else "dead_time_jump:within a while"
-    answer = diagnose(Recording.from_csv_text(record_of(Case(key, seed, experiment)).csv()))
+@pytest.mark.parametrize(("form", "seed"), [("at once", 748), ("within a while", 752)])
+def test_a_dead_time_that_jumps_between_two_moves_is_one_answer_of_several(form, seed):
+    """Two moves late by different times show no more than that: a flow that follows the output makes them late, too."""
+    answer = diagnose(Recording.from_csv_text(record_of(Case(f"dead_time_jump:{form}", seed, "short")).csv()))
     (only,) = answer.effects
     assert "dead_time_jump" in only.indistinguishable
     assert only.confidence <= 0.5

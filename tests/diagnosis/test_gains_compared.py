@@ -139,6 +139,7 @@ def test_a_process_without_gains_says_so():
     assert words.startswith("no gains after: none can be computed for a process with inverse_response")
     assert missing_note(both_gains(Known(PLANT), Known(PLANT), (PLAY,), DATASET), (PLAY,)) == []
     assert missing_note({"before": None, "after": None}, (second,)) == []
+    assert missing_note(shown, ()) == []
 
 
 @pytest.mark.parametrize(("model", "expected"), [

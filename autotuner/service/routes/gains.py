@@ -67,8 +67,7 @@ async def apply_gains(
 ) -> resources.Applied:
     """Write the gains to the device and read them back; the old ones are stored, and restored when it refuses any."""
     chosen = gains_of(tuning) if body.is_as_tuned() else await _others(tuning, computations, body)
-    gain_service = manager.gain_service(tuning.loop)
-    applied = await manager.with_loop(tuning, lambda: gain_service.apply(tuning, chosen), applies=True)
+    applied = await manager.with_loop(tuning, lambda: manager.apply(tuning, chosen))
     return resources.Applied.model_validate(applied.to_dict())
 
 

@@ -177,8 +177,8 @@ def _cost(compared: Mapping[str, object] | None) -> float:
 
 
 def missing_note(gains: Mapping[str, Any], effects: Sequence[FoundEffect]) -> list[str]:
-    """Return the note on a process with effects for which there are no gains."""
-    if gains.get("before") is None or gains.get("after") is not None:
+    """Return the note on a process with effects for which there are no gains; none without effects."""
+    if not effects or gains.get("before") is None or gains.get("after") is not None:
         return []
     names = " and ".join(effect.name for effect in effects)
     return [f"no gains after: none can be computed for a process with {names}; those before ignore it: watch that loop"]

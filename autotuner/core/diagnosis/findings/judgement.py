@@ -10,7 +10,8 @@
     partly_explained   effects that explain a good part of the error on the selection part, and fail one of these
     unexplained        anything else
 
-Invariants: the verdict follows from the reported numbers; the test part is not among them;
+Invariants: the verdict follows from the reported numbers, and from how well the record knows those of the process;
+the test part has no say in it;
 each failed condition is named, so that a reader knows why an effect is only a hypothesis.
 """
 

@@ -161,8 +161,8 @@ def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
     )
     spread = elsewhere @ np.linalg.pinv(fitted)
     colour = context.colour(after)
-    alone = by_chance(elsewhere.shape[0] / colour)
-    most = noise * math.sqrt(alone**2 + NORMAL_99**2 * colour * float(np.mean(np.sum(spread**2, axis=1))))
+    of_noise = by_chance(elsewhere.shape[0] / colour)
+    most = noise * math.sqrt(of_noise**2 + NORMAL_99**2 * colour * float(np.mean(np.sum(spread**2, axis=1))))
     return context.held_out_error(after) < most < MOST_UNSURE * noise
 
 
