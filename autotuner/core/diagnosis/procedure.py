@@ -148,7 +148,9 @@ class _Record:
     @classmethod
     def of(cls, used: Recording, model: ProcessModel | None) -> _Record:
         stands = frozen(used.pv, int(np.argmax(used.output != used.output[0])))
-        return cls(used, model, process_sign(used), stands, grid_of(used.pv), controller=controller_of(used))
+        controller = controller_of(used)
+        sign = process_sign(used) or (0 if controller is None else controller.sign_of_process)
+        return cls(used, model, sign, stands, grid_of(used.pv), controller=controller)
 
     def context(self, spikes: BoolArray | None = None) -> FitContext:
         grid, left_out = self.grid, self.stands if spikes is None else self.stands | spikes
@@ -289,12 +291,11 @@ def _left_in_all(found: Trace) -> float:
 def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
     """Return whether what was fitted to more of the record explains all of it better, with the same sign.
 
-    That is effects, or the process alone where that is the answer so far: its numbers may only have been unsure.
+    That is effects, or the process alone: its numbers may only have been unsure.
     """
     context, other, later, _ = again
     one_sign = float(base.best.linear[0]) * float(other.best.linear[0]) > 0.0
-    better = one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
-    return better and bool(later.chosen.problem.effects or not found.chosen.problem.effects)
+    return one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
 
 
 def _is_as_good_later(context: FitContext, found: Trace) -> bool:

@@ -45,6 +45,15 @@ class Controller:
     frequencies: FloatArray
     power: FloatArray
 
+    @property
+    def sign_of_process(self) -> int:
+        """The sign of the gain of a process that it controls: that of its integral action; 0 for none of that sign.
+
+        With the other one, the loop would run away from its set point.
+        """
+        moves_at_once, integrates = np.sign(self.coefficients[0]), np.sign(self.coefficients.sum())
+        return int(integrates) if moves_at_once == integrates else 0
+
     def response(self) -> ComplexArray:
         """Return `C` at the frequencies, output/PV."""
         back = np.exp(-1j * self.frequencies * self.interval_s)

@@ -107,7 +107,7 @@ def reported(
     the gains.
     """
     effects, found, spread_s = _all_effects(context, found, sensor, model)
-    coloured = None if effects else coloured_noise(context, found.chosen)
+    coloured = coloured_noise(context, found.chosen) if all(e.form == OWN_ORDER for e in effects) else None
     noise = max(min(noise_of(context, first.best), found.noise), 0.0 if coloured is None else coloured.noise)
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()

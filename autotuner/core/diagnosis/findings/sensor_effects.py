@@ -84,7 +84,7 @@ def _spikes(context: FitContext, found: Trace, sensor: SensorRecord) -> SensorFi
     """Return the spikes when they are more than the noise's own tail."""
     dataset = context.dataset
     rows = np.flatnonzero(sensor.spikes)
-    if rows.size < 2:
+    if not rows.size:
         return None
     off = dataset.data.pv[rows] - found.chosen.simulated(rows)
     if float(off @ off) < HARMFUL * dataset.data.t.size * max(found.noise, found.chosen.rms) ** 2:

@@ -128,7 +128,7 @@ class Dataset:
         if self.tuned or self.at_rest < AT_REST:
             return self.tuned
         pv = self.data.pv[: self.at_rest]
-        moves = float(np.std(pv))
+        moves = float(np.std(np.delete(pv, np.argmax(np.abs(pv - np.median(pv))))))  # one reading may be wild
         return moves < STILL * float(np.std(self.data.pv)) or moves < 3.0 * noise_sigma(pv)
 
     @property

@@ -131,6 +131,7 @@ def _between_jumps(moves: FloatArray, jump: float) -> BoolArray:
                 inside[a + 1 : b + 1] = True
     if edges and size - 1 - edges[-1] <= AT_THE_END:
         inside[edges[-1] + 1 :] = True  # the record ends before the reading comes back
+    inside[0] |= 0 in edges and 1 not in edges  # or begins with a wild reading
     return inside
 
 

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
-from autotuner.core.diagnosis.search.search import COARSE_STEPS, extend, refined, within
+from autotuner.core.diagnosis.search.search import COARSE_STEPS, alone_beside, extend, refined, within
 from autotuner.core.model.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -42,8 +43,10 @@ LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
 """Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
 QUICK_LAG = 0.1
 """The quicker lag to begin with beside a wave, in slower ones."""
-OF_PULSES = 8
-"""Starts of a switched output from which a fit begins."""
+FOLLOWED = 8
+"""Starts beside pairs of lags from which a fit begins."""
+CURVE = "curve"
+"""Group of the effects that give each level of the output a position."""
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
@@ -94,16 +97,38 @@ def with_switched_output(context: FitContext, base: Base, effects: Sequence[Effe
         *_shapes(context.dataset),
         *(o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure),
     ]
+    return _closest(context, _beside_each(context, pair, switched, shapes), pair)
+
+
+def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return each curve of an actuator in a loop, from the process that is found beside one of them.
+
+    A controller moves on where its actuator has ended: the process alone has to answer to that, and lies far away.
+    """
+    pair = _free_pair(base.origins)
+    curves = [e for e in effects if e.group == CURVE]
+    if not context.dataset.in_loop or pair is None or pair.problem.effects:
+        return []
+    found = _beside_each(
+        context, pair, [*curves, *static_curves(context.dataset)], [*_shapes(context.dataset), pair.theta]
+    )
+    origins = [alone_beside(context, c) for c in closest_first(found) if c.rms < pair.rms and is_physical(c)][:1]
+    return extend(context, origins, curves) if origins else []
+
+
+def _beside_each(
+    context: FitContext, pair: Fitted, effects: Sequence[Effect], shapes: Sequence[FloatArray]
+) -> list[Fitted]:
+    """Return the closest starts of effects beside pairs of lags, fitted on few samples."""
     tried = [
         fit(replace(pair.problem.with_effect(e), rows=context.screen), np.append(shape, start), 0)
-        for e, shape in within(context.dataset.budget, product(switched, shapes))
+        for e, shape in within(context.dataset.budget, product(effects, shapes))
         for start in e.starts
     ]
-    found = [
+    return [
         fit(replace(c.problem, rows=context.coarse), c.theta, COARSE_STEPS, ENOUGH_FOR_RANKS)
-        for c in closest_first(tried)[:OF_PULSES]
+        for c in closest_first(tried)[:FOLLOWED]
     ]
-    return _closest(context, found, pair)
 
 
 def _shapes(dataset: Dataset) -> list[FloatArray]:

@@ -24,6 +24,7 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import (
+    with_curve_in_loop,
     with_less_dead_time,
     with_process_beside_wave,
     with_switched_output,
@@ -220,6 +221,7 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
             return friction, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
+    late += with_curve_in_loop(context, base, effects)
     return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 

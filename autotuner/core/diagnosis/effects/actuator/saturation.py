@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CORNER = 0.05
 """Width of a rounded corner at the start of the search, in swings."""
-SHARES = (0.05, 0.12, 0.2, 0.3, 0.42)
+SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
 SIDES = ("low", "high")
 
 
