@@ -56,6 +56,8 @@ class Tangent:
         The slopes alone.
     background : array of float, shape (N, B)
         What the PV does besides.
+    answers : array of float, shape (N, G)
+        Its answer to the output: beside that of a changed process, the change has any strength.
     """
 
     base: Fitted
@@ -63,6 +65,7 @@ class Tangent:
     left: FloatArray
     slopes: FloatArray
     background: FloatArray
+    answers: FloatArray
 
 
 def tangent_of(context: FitContext, base: Fitted) -> Tangent:
@@ -72,22 +75,17 @@ def tangent_of(context: FitContext, base: Fitted) -> Tangent:
     pv = context.dataset.data.pv[context.screen]
     basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
     background = columns[:, problem.structure.gains + sum(base.counts) :]
-    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes, background)
+    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes, background, columns[:, : problem.structure.gains])
 
 
 def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
     """Return the best starts of an effect over all bases, the best first."""
-    starts = [start for tangent in tangents for start in _scored(context, tangent, effect)]
-    ranked = _best_first(starts)
+    scored = [(start, tangent) for tangent in tangents for start in _scored(context, tangent, effect)]
+    ranked = without_rounding(scored, lambda of: of[0].score)
     if effect.only_adds:
-        return ranked[:KEPT]
-    again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
-    return _best_first(again)[:KEPT]
-
-
-def _best_first(starts: Sequence[Start]) -> list[Start]:
-    """Return starts by their score; those as good in the order of bases and catalogue."""
-    return without_rounding(starts, lambda s: s.score)
+        return [start for start, _ in ranked[:KEPT]]
+    again = [replace(s, score=linearised(s.problem, s.theta, of.answers)) for s, of in ranked[:LOOKED_AT_AGAIN]]
+    return without_rounding(again, lambda s: s.score)[:KEPT]
 
 
 def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start]:
@@ -112,7 +110,8 @@ def _score_of_change(
     _values: Sequence[float],
 ) -> float:
     columns, _ = problem.columns_of(problem.view(theta, context.screen), theta, tangent.background)
-    left = residual_after(np.hstack((columns, tangent.slopes)), context.dataset.data.pv[context.screen])
+    beside = (columns, tangent.answers, tangent.slopes)
+    left = residual_after(np.hstack(beside), context.dataset.data.pv[context.screen])
     return float(left @ left) / left.size
 
 

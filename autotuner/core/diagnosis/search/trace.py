@@ -214,15 +214,14 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
     """Return effects that are searched with a process of their own, and whether one of them leaves only noise."""
-    friction: list[Fitted] = []
-    for search in (with_friction, with_friction_beside_a_load):
-        friction += search(context, base, effects)
-        if any(is_noise(context, candidate) for candidate in friction):
-            return friction, True
+    actuator: list[Fitted] = []
+    for search in (with_friction, with_friction_beside_a_load, with_curve_in_loop):
+        actuator += search(context, base, effects)
+        if any(is_noise(context, candidate) for candidate in actuator):
+            return actuator, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
-    late += with_curve_in_loop(context, base, effects)
-    return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
+    return [*actuator, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
