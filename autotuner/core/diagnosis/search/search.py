@@ -141,12 +141,15 @@ def better_of(context: FitContext, explanations: list[Fitted]) -> Fitted:
 def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> list[Fitted]:
     """Return candidates by that, the best first, the plainer one where that is the same.
 
-    Where the best ones have a load of free shape beside another effect, their error on the other part is that of the
-    load: they are ranked by the criterion.
+    Where the best one has a load of free shape beside another effect, its error on the other part is that of the load:
+    all such are ranked by the criterion, and come first.
     """
     ranked = without_rounding(candidates, context.on_both_parts, plainness)
-    free = list(takewhile(is_beside_free_load, ranked))
-    return [*context.by_criterion(free, min(map(context.colour, free), default=1.0)), *ranked[len(free) :]]
+    if not ranked or not is_beside_free_load(ranked[0]):
+        return ranked
+    free = [c for c in ranked if is_beside_free_load(c)]
+    others = [c for c in ranked if not is_beside_free_load(c)]
+    return [*context.by_criterion(free, min(map(context.colour, free))), *others]
 
 
 def refined(context: FitContext, candidate: Fitted) -> Fitted:

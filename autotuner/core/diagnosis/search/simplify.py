@@ -5,6 +5,7 @@ kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
 load that ramps as long as the record shows -> straight drift
 two changes at a time each, of which the later one takes the first back -> load or reading that comes and goes
+two effects -> one of them in another form
 load of free shape, late drift -> drift along a cubic, slow wave
 curve of an actuator that stands at a few levels -> steps
 form of an effect whose further numbers say nothing -> its plain form
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +34,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import FINE_STEPS, alone_beside, without
+from autotuner.core.diagnosis.search.search import FINE_STEPS, alone_beside, extend, without
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -149,6 +151,23 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     if ramp is None or drift is None or not fits_beside(drift, others):
         return chosen
     return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
+
+
+def with_one_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """Return the explanation with one effect less where another one in another form does as much.
+
+    From the process alone the search may not find that form, and mend the wrong one with a further effect.
+    """
+    if context.dataset.tuned or len(chosen.names) < PAIR or any(e.measured for e in chosen.problem.effects):
+        return chosen
+    tried = []
+    for kept, dropped in permutations(chosen.problem.effects, 2):
+        forms = [e for e in effects if e.name == kept.name and e.form != kept.form]
+        beside = [e for e in chosen.problem.effects if e not in {kept, dropped}]
+        if forms and not context.dataset.budget.spent:
+            tried += extend(context, [alone_beside(context, chosen, *beside)], forms)
+    near = context.by_criterion(tried, context.colour(chosen))[:1]
+    return _plainer(context, chosen, near[0]) if near else chosen
 
 
 def with_one_pulse(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

@@ -66,6 +66,7 @@ from autotuner.core.diagnosis.search.simplify import (
     CURVES,
     simplest,
     with_best_moment,
+    with_one_form,
     with_one_pulse,
     with_own_shapes,
     with_plain_drift,
@@ -204,7 +205,7 @@ def trace(
 
 def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return an explanation with each effect in the plainest form that the record leaves to it."""
-    chosen = with_one_pulse(context, chosen, effects)
+    chosen = with_one_pulse(context, with_one_form(context, chosen, effects), effects)
     chosen = with_plain_play(context, chosen, effects)
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
