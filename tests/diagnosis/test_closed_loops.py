@@ -20,6 +20,11 @@ def again(seed):
     return pytest.param(seed, marks=pytest.mark.long)
 
 
+def again_of(key, seed):
+    """The same for another effect."""
+    return pytest.param(key, seed, marks=pytest.mark.long)
+
+
 def named(answer):
     return [effect.name for effect in answer.effects]
 
@@ -43,6 +48,23 @@ def test_a_valve_sticks_within_much_less_than_the_set_point_moves_it(seed):
     answer, sizes = answer_to("stiction:stick and slip", seed)
     assert named(answer) == ["stiction"]
     assert answer.effects[0].parameters["jump"] == pytest.approx(sizes["jump"], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("key", "seed"),
+    [("saturation:hard", 745), again_of("saturation:hard", 754), again_of("static_nonlinearity:S-shaped", 758)],
+)
+def test_an_actuator_that_ends_before_the_output_is_found_though_the_controller_moves_on(key, seed):
+    answer, sizes = answer_to(key, seed)
+    assert named(answer) == ["saturation"]
+    if sizes:
+        assert answer.effects[0].parameters["high"] == pytest.approx(sizes["high"], rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", [again(759)])
+def test_a_weak_loss_is_found_though_each_start_of_the_search_is_far_stronger(seed):
+    answer, _ = answer_to("nonlinear_loss:outflow", seed)
+    assert named(answer) == ["nonlinear_loss"]
 
 
 @pytest.mark.long  # without a controller it is in test_records_without_segments, and wild readings are below

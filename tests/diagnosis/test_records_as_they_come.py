@@ -43,6 +43,18 @@ def test_an_output_acts_from_when_it_was_written():
     assert found.traces.output == pytest.approx(output)
 
 
+@pytest.mark.parametrize("at", [0, 200])
+def test_one_wild_reading_is_named_and_changes_no_number(at):
+    """At the beginning it is no state that the process comes from."""
+    t, output, pv = closed_form()
+    clean, pv[at] = diagnose(Recording(t, output, pv.copy())), pv[at] + 20.0
+    found = diagnose(Recording(t, output, pv))
+    assert clean.verdict == "adequate"
+    assert [effect.name for effect in found.effects] == ["outliers"]
+    assert found.effects[0].parameters["samples"] == 1.0
+    assert pytest.approx((2.0, 10.0), rel=0.005) == (found.process.K, found.process.T)
+
+
 def test_two_samples_are_refused():
     with pytest.raises(RecordingError):
         diagnose(Recording(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0])))

@@ -57,6 +57,10 @@ def test_a_step_does_not_come_back_and_is_no_spike():
     assert not spikes_of(residual, 1.0).any()
 
 
+def test_the_first_reading_may_be_wild():
+    assert rows_of(spikes_of(with_run(0, [50.0]), 1.0)) == [0]
+
+
 @pytest.mark.parametrize(("back", "expected"), [(46.0, [200]), (8.0, [])])
 def test_a_reading_that_comes_back_by_less_than_half_is_no_spike(back, expected):
     """A jump by 50 that ends at another level: there and back by 46, and by 8 only."""

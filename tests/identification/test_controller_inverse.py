@@ -39,6 +39,20 @@ def test_the_controller_is_found(moves):
     np.testing.assert_allclose(here, textbook, rtol=0.05)
 
 
+@pytest.mark.parametrize(("moves", "sign"), [(True, 1), (False, 1), (True, -1), (False, -1)])
+def test_a_controller_shows_the_sign_of_what_it_controls(moves, sign):
+    """The same loop with the PV upside down has a process and a controller of the other sign."""
+    record = loop(moves)
+    turned = Recording(record.t, record.output, sign * record.pv, sign * record.set_point)
+    assert controller_of(turned).sign_of_process == sign
+
+
+def test_a_controller_without_integral_action_shows_no_sign():
+    found = controller_of(loop(moves=True))
+    a = float(found.coefficients[0])
+    assert type(found)(np.array([a, -1.01 * a, 0.0]), 1.0, np.ones(1), np.ones(1)).sign_of_process == 0
+
+
 def test_its_inverse_is_recognised_and_the_process_is_not():
     controller = controller_of(loop(moves=False, wave=2.0))
     assert not is_inverse(Fopdt(K, T, float(DELAY)), controller)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.estimation.linear_least_squares import residual_after
-from autotuner.core.estimation.noise.ar_noise import Coloured, even_runs, memory_of
+from autotuner.core.estimation.noise.ar_noise import Coloured, Memory, even_runs, memory_of
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import chi2_tail, f_tail
 from autotuner.core.signals.noise import autocorrelation, rms
@@ -52,17 +52,14 @@ class Innovations:
 def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None:
     """Return the innovations of a model whose residual is autoregressive noise; None where it is white or not noise."""
     dataset = context.dataset
-    rows = np.flatnonzero(dataset.fitted)
-    residual = dataset.data.pv[rows] - candidate.simulated(rows)
-    residual = residual - residual.mean()
+    rows, residual = _residual(context, candidate)
     noise, motion = rms(residual), float(np.std(dataset.data.pv[rows]))
     if rows.size < 5 * PAST or not 0.0 < noise < MOST_OF_THE_MOTION * motion:
         return None
-    t, ones = dataset.data.t[rows], np.ones(rows.size)
-    memory = memory_of(residual, np.zeros((rows.size, 0)), even_runs(t, ones))
+    t, memory = dataset.data.t, _memory(context, rows, residual)
     if not memory.order:
         return None
-    white = Coloured.of(memory, t, ones).whitened(residual)
+    white = _whitened(memory, t[rows], residual)
     if (
         not _fades(memory.predictors[-1], candidate, dataset.data.interval_s, white)
         or not _is_white(white)
@@ -72,11 +69,41 @@ def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None
     size = rms(white)
     blocks = [rms(block) for block in np.array_split(white, BLOCKS)]
     others = np.flatnonzero(dataset.held_out)
-    left = dataset.data.pv[others] - candidate.simulated(others)
-    late = rms(Coloured.of(memory, dataset.data.t[others], np.ones(others.size)).whitened(left))
+    late = rms(_whitened(memory, t[others], dataset.data.pv[others] - candidate.simulated(others)))
     if max(blocks) > UNEVEN * size or late > UNEVEN * size:
         return None
     return Innovations(noise, size, late)
+
+
+def is_noise_instead(context: FitContext, plain: Fitted, chosen: Fitted) -> bool:
+    """Return whether autoregressive noise beside a plain model is a better explanation than effects are.
+
+    Both are judged by the innovations of their residuals, with the prices of the criterion.
+    """
+    noise = coloured_noise(context, plain)
+    if noise is None:
+        return False
+    rows, residual = _residual(context, chosen)
+    left = rms(_whitened(_memory(context, rows, residual), context.dataset.data.t[rows], residual))
+    more = context.price_of(chosen, rows.size) - context.price_of(plain, rows.size)
+    return 2.0 * rows.size * math.log(noise.fitted / max(left, context.dataset.floor)) < more
+
+
+def _residual(context: FitContext, candidate: Fitted) -> tuple[IntArray, FloatArray]:
+    """Return the fitted samples, and the residual there, without its mean."""
+    rows = np.flatnonzero(context.dataset.fitted)
+    residual = context.dataset.data.pv[rows] - candidate.simulated(rows)
+    return rows, residual - residual.mean()
+
+
+def _memory(context: FitContext, rows: IntArray, residual: FloatArray) -> Memory:
+    runs = even_runs(context.dataset.data.t[rows], np.ones(rows.size))
+    return memory_of(residual, np.zeros((rows.size, 0)), runs)
+
+
+def _whitened(memory: Memory, t: FloatArray, residual: FloatArray) -> FloatArray:
+    """Return the innovations of a residual at some times."""
+    return Coloured.of(memory, t, np.ones(t.size)).whitened(residual)
 
 
 def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float, innovations: FloatArray) -> bool:

@@ -56,11 +56,12 @@ class FitContext:
     def criterion(self, candidate: Fitted, inflated: float) -> float:
         """Return the criterion, given the number of samples of the best residual per independent one."""
         independent = max(candidate.residual.size / inflated, 4.0)
-        return (
-            independent * math.log(candidate.mean_square + self.dataset.floor**2)
-            + candidate.size * (math.log(independent) + MANY_STRUCTURES / 2.0)
-            + 2.0 * candidate.price
-        )
+        misfit = independent * math.log(candidate.mean_square + self.dataset.floor**2)
+        return misfit + self.price_of(candidate, independent)
+
+    def price_of(self, candidate: Fitted, independent: float) -> float:
+        """Return what the numbers of a candidate cost, given the number of independent samples."""
+        return candidate.size * (math.log(independent) + MANY_STRUCTURES / 2.0) + 2.0 * candidate.price
 
     def colour(self, candidate: Fitted) -> float:
         """Return the number of samples of a candidate's residual per independent one."""

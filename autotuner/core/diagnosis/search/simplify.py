@@ -30,6 +30,7 @@ from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.effects.waves import SLOW_WAVE
 from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
@@ -81,12 +82,19 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
 
 
 def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with a third lag of the process where noise hides it, and both parts speak for it."""
-    if chosen.problem.structure is not SECOND_ORDER or chosen.rms > NOTHING_LEFT * noise_of(context, chosen):
+    """Return the explanation with a third lag of the process where noise hides it, and both parts speak for it.
+
+    Noise with a memory hides more of it: it is there where the innovations follow the output without it only.
+    """
+    if chosen.problem.structure is not SECOND_ORDER:
         return chosen
-    richer = one_lag_more(context, chosen)
+    is_noise = chosen.rms <= NOTHING_LEFT * noise_of(context, chosen)
+    may_hide = is_noise or not (chosen.problem.effects or coloured_noise(context, chosen))
+    richer = one_lag_more(context, chosen) if may_hide else None
     if richer is None:
         return chosen
+    if not is_noise:
+        return richer if coloured_noise(context, richer) else chosen
     evidence = weigh(context, chosen, richer)
     return richer if evidence.gain > 0.0 and evidence.held_out_ratio < 1.0 else chosen
 

@@ -21,6 +21,7 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_eve
 from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.coloured_noise import is_noise_instead
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import (
@@ -76,6 +77,7 @@ from autotuner.core.diagnosis.search.simplify import (
     with_plain_step,
     with_smooth_course,
     with_steps,
+    with_third_lag,
 )
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
@@ -197,9 +199,18 @@ def trace(
     chosen, stepped = with_steps(context, chosen)
     pool += [*in_place, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or _late_instead(context, base, chosen)
+    alone, chosen = _without_effects(context, base, alone, chosen)
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
+
+
+def _without_effects(context: FitContext, base: Base, alone: Fitted, chosen: Fitted) -> tuple[Fitted, Fitted]:
+    """Return the process alone twice where noise with a memory beside it explains more than effects do."""
+    if context.dataset.tuned or base.held is not None or not chosen.problem.effects:
+        return alone, chosen
+    plain = with_third_lag(context, base.best)
+    return (plain, plain) if is_noise_instead(context, plain, chosen) else (alone, chosen)
 
 
 def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
@@ -214,14 +225,15 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
     """Return effects that are searched with a process of their own, and whether one of them leaves only noise."""
-    actuator: list[Fitted] = []
-    for search in (with_friction, with_friction_beside_a_load, with_curve_in_loop):
-        actuator += search(context, base, effects)
-        if any(is_noise(context, candidate) for candidate in actuator):
-            return actuator, True
+    friction: list[Fitted] = []
+    for search in (with_friction, with_friction_beside_a_load):
+        friction += search(context, base, effects)
+        if any(is_noise(context, candidate) for candidate in friction):
+            return friction, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
-    return [*actuator, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
+    late += with_curve_in_loop(context, base, effects)
+    return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:

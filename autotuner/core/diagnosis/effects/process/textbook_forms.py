@@ -44,6 +44,8 @@ THIRD = (0.1, 0.35)
 """Third lag to start from, over the sum of the two."""
 MOST_AGAINST = 0.6
 """Most that a second way takes back of the first one's gain: two ways that nearly cancel explain any response."""
+UNEQUAL = 1.2
+"""Ratio of the two lags of an element from which they differ: with equal ones, it is one lag more."""
 SECOND_MODE = 0.2
 """Time constant of the second of two modes over that of the first."""
 
@@ -146,6 +148,7 @@ def _unequal_lags(dataset: Dataset) -> Effect:
         order=2,
         group="timing",
         price=2.0,
+        means=lambda p, _c, _g, _shape: abs(p[0] - p[1]) > math.log(UNEQUAL),
     )
 
 
