@@ -80,6 +80,16 @@ def test_autoregressive_noise_in_a_short_record_is_no_effect(seed, plant):
     assert diagnose(Recording.from_csv_text(record.csv())).verdict == "adequate"
 
 
+@pytest.mark.parametrize(
+    ("seed", "experiment"), [(754, "random"), (758, "short"), pytest.param(750, "steps", marks=pytest.mark.long)]
+)
+def test_autoregressive_noise_on_a_plant_of_third_order_is_no_effect(seed, experiment):
+    """It hides that lag, which the innovations show, and it looks like a load for a while."""
+    record = record_of(Case("clean", seed, experiment, "coloured"))
+    answer = diagnose(Recording.from_csv_text(record.csv()))
+    assert (answer.verdict, answer.effects) == ("adequate", ())
+
+
 @pytest.mark.parametrize(("seed", "noise"), [(750, "white"), pytest.param(747, "coloured", marks=pytest.mark.long)])
 def test_a_relay_record_that_ends_in_steps_is_adequate_though_its_numbers_were_unsure_until_then(seed, noise):
     """What a relay leaves open of the process makes an error at the steps, and no effect is missing."""

@@ -195,7 +195,8 @@ def trace(
     dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
-    chosen, in_place = _with_others_in_place(context, chosen, effects)
+    placed, in_place = _with_others_in_place(context, chosen, effects)
+    chosen = chosen if placed is chosen else dropped_back(context, base, placed)
     chosen, stepped = with_steps(context, chosen)
     pool += [*in_place, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or _late_instead(context, base, chosen)
