@@ -187,12 +187,31 @@ def backlash(held: HeldInput, width: float, seat: float = 0.0, tilt: float = 0.0
     `seat` is where it starts within the play, -0.5 to 0.5.
     """
     x = start = seat * width
+    if tilt == 0.0:
+        return HeldInput(held.times, played(held.levels, width, start) - start)
     positions = []
     for level in held.levels.tolist():
         half = max(width * (1.0 + tilt * x), 0.0) / 2.0
         x = level - half if x < level - half else min(x, level + half)
         positions.append(x - start)
     return HeldInput(held.times, np.array(positions))
+
+
+def played(levels: FloatArray, width: float, start: float) -> FloatArray:
+    """Return the position behind a play at each of some levels of a command, shape (N,).
+
+    Each level moves the position into a range about itself, and two such moves are a move into a range again:
+    `[min(max(a, c), d), min(max(b, c), d)]` for `[a, b]` and then `[c, d]`. All levels up to each one are put together
+    in `log2 N` rounds (Hillis and Steele, Commun. ACM 29, 1986).
+    """
+    low, high, reach = levels - width / 2.0, levels + width / 2.0, 1
+    while reach < levels.size:
+        least, most = low[reach:], high[reach:]
+        ends = [np.minimum(np.maximum(end[:-reach], least), most) for end in (low, high)]
+        low, high = (np.concatenate((end[:reach], after)) for end, after in zip((low, high), ends, strict=True))
+        reach *= 2
+    result: FloatArray = np.minimum(np.maximum(start, low), high)
+    return result
 
 
 def stiction(held: HeldInput, band: float, left: float) -> HeldInput:
