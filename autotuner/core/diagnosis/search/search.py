@@ -81,6 +81,12 @@ def finished(context: FitContext, quick: Sequence[Fitted]) -> list[Fitted]:
     return [c for c in closest_first(fine) if is_physical(c)]
 
 
+def in_each_form(context: FitContext, base: Fitted, forms: Sequence[Effect]) -> list[Fitted]:
+    """Return a base with each form of an effect, fitted on all samples: none stands for the others."""
+    found = [refined(context, c) for c in within(context.dataset.budget, sketched(context, [base], forms))]
+    return [c for c in closest_first(found) if is_physical(c)]
+
+
 def _first_and_alike(ranked: Sequence[Fitted], count: int) -> list[Fitted]:
     """Return the first of a ranking, and the closest of every further name that comes as near as the first one.
 

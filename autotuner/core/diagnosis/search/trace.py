@@ -59,6 +59,7 @@ from autotuner.core.diagnosis.search.search import (
     better_of,
     extend,
     finished,
+    in_each_form,
     sketched,
     within,
     without,
@@ -335,7 +336,7 @@ def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Seque
         if not exchanged.measured
         and (forms := [e for e in effects if e.name == exchanged.name and e.form != exchanged.form])
     ]
-    return [c for beside, forms in exchanges for c in extend(context, [beside], forms)]
+    return [c for beside, forms in exchanges for c in in_each_form(context, beside, forms)]
 
 
 def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
