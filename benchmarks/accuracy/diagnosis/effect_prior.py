@@ -109,7 +109,7 @@ def residual_features(context: Any, base: Any) -> dict[str, float]:
 def scores_of(context: Any, tangents: Sequence[Any], effects: Sequence[Any]) -> tuple[dict[str, float], list[Any]]:
     """Return the best linearised score of each name, log of what it leaves of the squares; and all starts."""
     before = min(float(t.left @ t.left) / t.left.size for t in tangents)
-    starts = [(effect.name, found) for effect in effects if (found := screened(context, tangents, effect))]
+    starts = [(effect.name, found) for effect in effects if (found := screened(context, tangents, effect)[0])]
     scores: dict[str, float] = {}
     for name, found in starts:
         scores[name] = min(scores.get(name, 0.0), math.log(max(found[0].score, 1e-300) / before))

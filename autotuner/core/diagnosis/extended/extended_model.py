@@ -452,16 +452,12 @@ def _step(
     return None, damping
 
 
-def linearised(problem: Extended, theta: FloatArray, beside: FloatArray | None = None) -> float:
-    """Return the remaining mean square when the process may move along its tangent: a cheap score of a start.
-
-    `beside` has further columns, shape (N, C).
-    """
+def linearised(problem: Extended, theta: FloatArray) -> float:
+    """Return the remaining mean square when the process may move along its tangent: a cheap score of a start."""
     point = _Point(problem, theta)
     if problem.fixed is not None:
         return point.misfit / point.residual.size
     J = point.slopes(len(problem.structure.shape) + 1)
-    J = J if beside is None else np.hstack((J, beside))
     J = J - point.q @ (point.q.T @ J)
     q, _ = solve_linear(J, point.residual)
     left = point.residual - q @ (q.T @ point.residual)

@@ -107,7 +107,7 @@ def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect
     """
     pair = _free_pair(base.origins)
     curves = [e for e in effects if e.group == CURVE]
-    if not context.dataset.in_loop or pair is None or pair.problem.effects:
+    if context.dataset.controller is None or pair is None or pair.problem.effects:
         return []
     found = _beside_each(
         context, pair, [*curves, *static_curves(context.dataset)], [*_shapes(context.dataset), pair.theta]

@@ -5,7 +5,8 @@ For an effect that only adds columns, the tangent of the process is the same for
     left = |r|^2 - |P c'r|^2,   r = (I - Q Q') pv,   Q an orthonormal basis of columns and tangent
 
 An effect that changes the input or the response moves the tangent too. Its starts are compared with that of the base,
-and the best of them evaluated again with their own.
+and the best of them evaluated again with their own. Each start is also compared beside the answer of the base, so that
+the change may have any strength: far from its size, an effect is worse than none.
 """
 
 from __future__ import annotations
@@ -32,12 +33,16 @@ KEPT, LOOKED_AT_AGAIN = 2, 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """An effect added to a base, and where its search begins."""
+    """An effect added to a base, and where its search begins.
+
+    Two scores: as it is, and beside the answer of the base, by which the effect has any strength.
+    """
 
     effect: Effect
     problem: Extended
     theta: FloatArray
     score: float
+    at_any_strength: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +83,14 @@ def tangent_of(context: FitContext, base: Fitted) -> Tangent:
     return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes, background, columns[:, : problem.structure.gains])
 
 
-def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> list[Start]:
-    """Return the best starts of an effect over all bases, the best first."""
-    scored = [(start, tangent) for tangent in tangents for start in _scored(context, tangent, effect)]
-    ranked = without_rounding(scored, lambda of: of[0].score)
-    if effect.only_adds:
-        return [start for start, _ in ranked[:KEPT]]
-    again = [replace(s, score=linearised(s.problem, s.theta, of.answers)) for s, of in ranked[:LOOKED_AT_AGAIN]]
-    return without_rounding(again, lambda s: s.score)[:KEPT]
+def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> tuple[list[Start], Start | None]:
+    """Return the best starts of an effect over all bases, the best first, and the best one at any strength."""
+    starts = [start for tangent in tangents for start in _scored(context, tangent, effect)]
+    ranked = without_rounding(starts, lambda s: s.score)
+    if effect.only_adds or not ranked:
+        return ranked[:KEPT], None
+    again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
+    return without_rounding(again, lambda s: s.score)[:KEPT], without_rounding(starts, lambda s: s.at_any_strength)[0]
 
 
 def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start]:
@@ -93,40 +98,43 @@ def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start
     if not fits_beside(effect, base.problem.effects):
         return []
     problem = replace(base.problem.with_effect(effect), rows=context.screen)
-    score = _score_of_columns if effect.only_adds else _score_of_change
+    score = _scores_of_columns if effect.only_adds else _scores_of_change
     return [
-        Start(effect, problem, theta, score(context, tangent, effect, problem, theta, values))
+        Start(effect, problem, theta, *score(context, tangent, effect, problem, theta, values))
         for values in effect.starts
         for theta in [theta_with(base, problem, effect, values)]
     ]
 
 
-def _score_of_change(
+def _scores_of_change(
     context: FitContext,
     tangent: Tangent,
     _effect: Effect,
     problem: Extended,
     theta: FloatArray,
     _values: Sequence[float],
-) -> float:
+) -> tuple[float, float]:
     columns, _ = problem.columns_of(problem.view(theta, context.screen), theta, tangent.background)
-    beside = (columns, tangent.answers, tangent.slopes)
-    left = residual_after(np.hstack(beside), context.dataset.data.pv[context.screen])
-    return float(left @ left) / left.size
+    pv = context.dataset.data.pv[context.screen]
+    beside = np.hstack((columns, tangent.slopes))
+    left = [residual_after(c, pv) for c in (beside, np.hstack((beside, tangent.answers)))]
+    as_it_is, at_any_strength = (float(r @ r) / r.size for r in left)
+    return as_it_is, at_any_strength
 
 
-def _score_of_columns(
+def _scores_of_columns(
     context: FitContext, tangent: Tangent, effect: Effect, problem: Extended, theta: FloatArray, values: Sequence[float]
-) -> float:
+) -> tuple[float, float]:
     assert effect.columns is not None  # noqa: S101 - what changes neither position nor response adds columns
     view: View = problem.view(theta, context.screen)
     added = effect.columns(view, values)
     if not len(added):
-        return np.inf
+        return np.inf, np.inf
     columns = np.column_stack(list(added))
     columns = columns - tangent.basis @ (tangent.basis.T @ columns)
     left = residual_after(columns, tangent.left)
-    return float(left @ left) / left.size
+    score = float(left @ left) / left.size
+    return score, score  # their sizes are linear
 
 
 def fits_beside(effect: Effect, others: Sequence[Effect]) -> bool:

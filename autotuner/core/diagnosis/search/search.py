@@ -33,11 +33,14 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.budget import Budget
+    from autotuner.core.diagnosis.search.screen import Start
     from autotuner.core.model.arrays import IntArray
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
 """Number of effects that continue to the next stage: for the first one, and for a further one of each explanation."""
+OF_ANY_STRENGTH = 3
+"""Effects that continue besides, by their scores at any strength."""
 
 
 Item = TypeVar("Item")
@@ -58,14 +61,22 @@ def sketched(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Eff
     """Return the bases with one effect more after a few steps, each effect once, the best first."""
     budget = context.dataset.budget
     tangents = [tangent_of(context, base) for base in bases]
-    rows = [starts for effect in within(budget, effects) if (starts := screened(context, tangents, effect))]
-    ranked = without_rounding(rows, lambda starts: starts[0].score)
+    scored = [screened(context, tangents, effect) for effect in within(budget, effects)]
+    ranked = without_rounding([starts for starts, _ in scored if starts], lambda starts: starts[0].score)
     count = (FURTHER if bases[0].problem.effects else FIRST)[0]
     rows = [*ranked[:count], *(starts for starts in ranked[count:] if starts[0].effect.key in ALWAYS_TRIED)]
+    rows += _at_any_strength([start for _, start in scored if start is not None], rows)
     return closest_first(
         closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
         for of in within(budget, rows)
     )
+
+
+def _at_any_strength(starts: Sequence[Start], known: Sequence[Sequence[Start]]) -> list[list[Start]]:
+    """Return the most promising starts of other effects: far from its size, one is worse than none."""
+    tried = {of[0].effect.key for of in known}
+    ranked = without_rounding([s for s in starts if s.effect.key not in tried], lambda s: s.at_any_strength)
+    return [[s] for s in ranked[:OF_ANY_STRENGTH]]
 
 
 def finished(context: FitContext, quick: Sequence[Fitted]) -> list[Fitted]:

@@ -35,7 +35,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import FINE_STEPS, alone_beside, extend, without
+from autotuner.core.diagnosis.search.search import AS_NEAR, FINE_STEPS, alone_beside, extend, without
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def with_one_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]
         beside = [e for e in chosen.problem.effects if e not in {kept, dropped}]
         if forms and not context.dataset.budget.spent:
             tried += extend(context, [alone_beside(context, chosen, *beside)], forms)
-    near = context.by_criterion(tried, context.colour(chosen))[:1]
+    near = context.by_criterion((c for c in tried if c.rms < AS_NEAR * chosen.rms), context.colour(chosen))
     return _plainer(context, chosen, near[0]) if near else chosen
 
 

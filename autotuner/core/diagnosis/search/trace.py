@@ -165,7 +165,8 @@ def trace(
         best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, context.coarse, declared)
     steps: list[Fitted] = []
-    beside, enough = (_fitted_again(context, earlier), False) if earlier else _with_processes(context, base, effects)
+    beside, enough = _with_processes(context, base, effects)
+    beside += _fitted_again(context, earlier)
     beams = [] if enough else beams
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(context, best):

@@ -55,7 +55,7 @@ def process_effects(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     return (
         *losses(dataset, base),
         *_overflows(dataset, float(base.linear[0])),
-        *(() if dataset.tuned or dataset.in_loop else (overflowing_stores(dataset),)),  # a loop keeps its level
+        *(() if dataset.tuned or dataset.controller is not None else (overflowing_stores(dataset),)),
         _direction_dynamics(),
         _unequal_lags(dataset),
         *_slow_mode(dataset),
