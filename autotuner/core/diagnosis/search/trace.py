@@ -194,11 +194,7 @@ def trace(
     best, curved = _with_free_curve(context, base, best, declared)
     best, late = _with_uneven_updates(context, base, best)
     pool += curved
-    dropped = dropped_back(context, base, best)
-    as_many = [step for step in steps if len(step.names) == len(dropped.names)]
-    chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
-    placed, in_place = _with_others_in_place(context, chosen, effects)
-    chosen = chosen if placed is chosen else dropped_back(context, base, placed)
+    chosen, in_place = _with_needed_effects(context, base, best, steps, effects)
     chosen, stepped = with_steps(context, chosen)
     pool += [*in_place, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or _late_instead(context, base, chosen)
@@ -206,6 +202,17 @@ def trace(
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
+
+
+def _with_needed_effects(
+    context: FitContext, base: Base, best: Fitted, steps: Sequence[Fitted], effects: Sequence[Effect]
+) -> tuple[Fitted, list[Fitted]]:
+    """Return the explanation with the effects that it needs, in their plainest forms, and others that were tried."""
+    dropped = dropped_back(context, base, best)
+    as_many = [step for step in steps if len(step.names) == len(dropped.names)]
+    chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
+    placed, in_place = _with_others_in_place(context, chosen, effects)
+    return (chosen if placed is chosen else dropped_back(context, base, placed)), in_place
 
 
 def _without_effects(context: FitContext, base: Base, alone: Fitted, chosen: Fitted) -> tuple[Fitted, Fitted]:
