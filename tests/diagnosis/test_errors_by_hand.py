@@ -330,7 +330,7 @@ def beside_a_free_load(context, *errors, size=3):
 
 
 def test_loads_of_free_shape_are_ranked_by_the_criterion_where_one_of_them_leads():
-    """Their errors elsewhere are the loads': of them all, the closest one; where another one leads, they stay behind."""
+    """Their errors elsewhere are the loads': the closest one of all; where another leads, they stay behind."""
     _, context = seen_of(COURSE)
     far, close = beside_a_free_load(context, 1.0, 2.0), beside_a_free_load(context, 0.9, 2.1)
     plain, behind = model_of(context, COURSE, by_parts(1.1, 2.1, 0.0)), beside_a_free_load(context, 0.8, 2.5)
