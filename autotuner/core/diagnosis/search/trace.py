@@ -216,8 +216,12 @@ def _with_needed_effects(
 
 
 def _without_effects(context: FitContext, base: Base, alone: Fitted, chosen: Fitted) -> tuple[Fitted, Fitted]:
-    """Return the process alone twice where noise with a memory beside it explains more than effects do."""
-    if context.dataset.tuned or base.held is not None or not chosen.problem.effects:
+    """Return the process alone twice where noise with a memory beside it explains more than effects do.
+
+    A measured disturbance is known, and stays.
+    """
+    found = chosen.problem.effects
+    if context.dataset.tuned or base.held is not None or not found or any(e.measured for e in found):
         return alone, chosen
     plain = with_third_lag(context, base.best)
     return (plain, plain) if is_noise_instead(context, plain, chosen) else (alone, chosen)
