@@ -15,14 +15,9 @@ def answer_to(key, seed):
     return diagnose(Recording.from_csv_text(record.csv())), record.hidden.sizes
 
 
-def again(seed):
+def again(*values):
     """The same on another record: for `run.py long`."""
-    return pytest.param(seed, marks=pytest.mark.long)
-
-
-def again_of(key, seed):
-    """The same for another effect."""
-    return pytest.param(key, seed, marks=pytest.mark.long)
+    return pytest.param(*values, marks=pytest.mark.long)
 
 
 def named(answer):
@@ -52,7 +47,7 @@ def test_a_valve_sticks_within_much_less_than_the_set_point_moves_it(seed):
 
 @pytest.mark.parametrize(
     ("key", "seed"),
-    [("saturation:hard", 745), again_of("saturation:hard", 754), again_of("static_nonlinearity:S-shaped", 758)],
+    [("saturation:hard", 745), again("saturation:hard", 754), again("static_nonlinearity:S-shaped", 758)],
 )
 def test_an_actuator_that_ends_before_the_output_is_found_though_the_controller_moves_on(key, seed):
     answer, sizes = answer_to(key, seed)

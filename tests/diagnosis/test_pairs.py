@@ -284,13 +284,12 @@ def test_an_error_elsewhere_is_foreseen_where_the_numbers_make_it(output, off, e
 
 @pytest.mark.parametrize(("seed", "experiment"), [(735, "short"), (736, "relay")])
 def test_every_curve_of_the_actuator_is_tried_beside_a_load(seed, experiment):
-    """Where the search comes to a parabola or a cubic beside the load, the limit, which is there, comes as near."""
+    """The search came to a parabola or a cubic beside the load; the limit, which is there, comes as near."""
     hidden = record_of(Case("saturation:hard + load_step:step", seed, experiment))
     answer = diagnose(Recording.from_csv_text(hidden.csv()))
     alike = {e.name: e.indistinguishable for e in answer.effects}
-    (curve,) = alike.keys() - {"load_step"}
-    assert alike.keys() == {"load_step", curve}
-    assert {curve, *alike[curve]} >= {"saturation", "static_nonlinearity"}
+    assert alike.keys() == {"saturation", "load_step"}
+    assert "static_nonlinearity" in alike["saturation"]
     assert answer.error["held_out"].after < 1.1 * hidden.sigma
 
 

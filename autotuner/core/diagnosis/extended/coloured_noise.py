@@ -7,12 +7,19 @@ as large on the selection part as on the fitted one, and in every fifth of the f
 within half of the process's own lags, or within one and a half where the innovations are normal, and (5) the noise is
 a small share of the PV's motion. A slow or uneven residual is none, and stays unexplained. (Ljung, System
 Identification, 1999, ch. 16.6: residual analysis.)
+
+Effects give way to it where they are not worth their numbers:
+
+    2 N ln(sigma_w / sigma_e) < price of the effects,   sigma_e innovations of the residual with them
+
+`N` fitted samples, `sigma_w` standard deviation of `w`, prices as in the criterion (see `fit_context`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,8 +56,12 @@ class Innovations:
     selection: float
 
 
+@lru_cache(maxsize=4)
 def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None:
-    """Return the innovations of a model whose residual is autoregressive noise; None where it is white or not noise."""
+    """Return the innovations of a model whose residual is autoregressive noise, else None. Cached.
+
+    It is none where it is white, or not noise.
+    """
     dataset = context.dataset
     rows, residual = _residual(context, candidate)
     noise, motion = rms(residual), float(np.std(dataset.data.pv[rows]))

@@ -62,7 +62,7 @@ class Tangent:
     background : array of float, shape (N, B)
         What the PV does besides.
     answers : array of float, shape (N, G)
-        Its answer to the output: beside that of a changed process, the change has any strength.
+        Its answer to the output. A mix of it and the answer of a changed process is a change of another strength.
     """
 
     base: Fitted

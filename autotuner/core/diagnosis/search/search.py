@@ -93,7 +93,7 @@ def finished(context: FitContext, quick: Sequence[Fitted]) -> list[Fitted]:
 
 
 def in_each_form(context: FitContext, base: Fitted, forms: Sequence[Effect]) -> list[Fitted]:
-    """Return a base with each form of an effect, fitted on all samples: none stands for the others."""
+    """Return a base with each form of an effect fitted on all samples, and not only the closest and the plainest."""
     found = [refined(context, c) for c in within(context.dataset.budget, sketched(context, [base], forms))]
     return [c for c in closest_first(found) if is_physical(c)]
 

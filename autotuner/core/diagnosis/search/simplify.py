@@ -84,7 +84,8 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
 def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
     """Return the explanation with a third lag of the process where noise hides it, and both parts speak for it.
 
-    Noise with a memory hides more of it: it is there where the innovations follow the output without it only.
+    Noise with a memory hides more of it. There, the lag is real where the residual is such noise with it only: without
+    it, the innovations follow the output.
     """
     if chosen.problem.structure is not SECOND_ORDER:
         return chosen

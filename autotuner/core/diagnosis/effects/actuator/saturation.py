@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 CORNER = 0.05
 """Width of a rounded corner at the start of the search, in swings."""
 SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
+"""Limits to begin from, in swings; in a loop most of the output's range may lie beyond one."""
 SIDES = ("low", "high")
 
 
