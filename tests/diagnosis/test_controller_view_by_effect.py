@@ -92,6 +92,14 @@ def test_a_slow_mode_is_left_out_only_where_it_is_slow_and_small(share, time_con
     assert met is None or met.model == PLANT
 
 
+@pytest.mark.parametrize(("process", "share", "held"), [(PLANT, 0.6, True), (Fopdt(2.0, 10.0, 30.0), 0.6, False)])
+def test_a_recycle_is_left_out_only_where_what_comes_back_is_small(process, share, held):
+    """A lag of 10 s behind 1.5 s of dead time passes a tenth where a loop turns over, behind 30 s three quarters."""
+    met = controller_view(process, COVARIANCE, [found("recycle", share=share, return_time_s=30.0)])
+    assert (met is not None) is held
+    assert met is None or met.model == process
+
+
 @pytest.mark.parametrize(
     ("process", "expected"),
     [

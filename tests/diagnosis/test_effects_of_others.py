@@ -32,7 +32,7 @@ def announce(tmp_path, monkeypatch):
         info = tmp_path / "my_physics-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-physics\nVersion: 1.0\n", encoding="utf-8")
-        (info / "entry_points.txt").write_text(f"[autotuner.effects]\nrecycle = {target}\n", encoding="utf-8")
+        (info / "entry_points.txt").write_text(f"[autotuner.effects]\nsecond_pass = {target}\n", encoding="utf-8")
         monkeypatch.syspath_prepend(str(tmp_path))
         importlib.invalidate_caches()
         installed_effects.cache_clear()
@@ -46,7 +46,7 @@ def example():
     return re.search(r"```python\n(\"\"\"my_physics.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
 
 
-def with_recycle(share=SHARE):
+def with_second_pass(share=SHARE):
     """A lag of 15 s with dead time 4 s, whose answer comes back 45 s later; by Euler's method in steps of 0.1 s."""
     random = np.random.default_rng(6)
     output = 40.0 + np.repeat(random.choice([-8.0, 0.0, 8.0], 40), 20)
@@ -62,13 +62,13 @@ def with_recycle(share=SHARE):
 
 
 def test_the_example_of_the_page_conforms_and_is_found(announce, among):
-    among("recycle", "slow_mode", "extra_lag", "inverse_response")
+    among("second_pass", "recycle", "slow_mode", "extra_lag", "inverse_response")
     announce(example())
-    plugin = installed_effects()["recycle"]
+    plugin = installed_effects()["second_pass"]
     assert check_effect(plugin) == []
-    found = diagnose(with_recycle())
+    found = diagnose(with_second_pass())
     assert found.verdict == "explained", found.summary
-    assert [effect.name for effect in found.effects] == ["recycle"]
+    assert [effect.name for effect in found.effects] == ["second_pass"]
     sizes = found.effects[0].parameters
     assert sizes["share"] == pytest.approx(SHARE, rel=0.05)
     assert sizes["later_s"] == pytest.approx(LATER_S, abs=1.0)
@@ -77,7 +77,7 @@ def test_the_example_of_the_page_conforms_and_is_found(announce, among):
 
 
 def test_without_the_package_nothing_has_that_name():
-    assert "recycle" not in installed_effects()
+    assert "second_pass" not in installed_effects()
 
 
 def test_a_controller_meets_the_process_as_the_plug_in_says(announce):
@@ -85,7 +85,7 @@ def test_a_controller_meets_the_process_as_the_plug_in_says(announce):
         example() + "\nfrom dataclasses import replace\nplugin = replace(plugin, controller_view=lambda process, sizes:"
         ' replace(process, K=process.K * (1.0 + sizes["share"])))\n'
     )
-    effect = FoundEffect("recycle", "process", {"share": 0.5, "later_s": 45.0}, {}, 0.9)
+    effect = FoundEffect("second_pass", "process", {"share": 0.5, "later_s": 45.0}, {}, 0.9)
     met = controller_view(Fopdt(2.0, 10.0, 1.0), np.eye(3), (effect,))
     assert met.model == Fopdt(3.0, 10.0, 1.0)
 
@@ -97,12 +97,12 @@ def test_a_plug_in_that_cannot_be_used_is_named(announce, source, word):
     announce(source)
     with pytest.raises(ConfigurationError, match=word) as refused:
         installed_effects()
-    assert "autotuner.effects.recycle" in str(refused.value)
+    assert "autotuner.effects.second_pass" in str(refused.value)
 
 
 def test_the_kit_says_what_is_wrong(announce):
     announce(example())
-    plugin = installed_effects()["recycle"]
+    plugin = installed_effects()["second_pass"]
 
     def changed(**fields):
         return replace(plugin, make=lambda dataset, base: [replace(e, **fields) for e in plugin.make(dataset, base)])

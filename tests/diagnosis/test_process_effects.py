@@ -256,6 +256,31 @@ def test_a_slow_mode_is_a_second_plant_beside_the_first(plant):
     assert fitted.is_meaningful()
 
 
+@pytest.mark.parametrize(("plant", "lags"), [(LAG, (LAG.T,)), (PAIR, (PAIR.T1, PAIR.T2))])
+def test_a_recycle_is_the_sum_of_all_that_passes_once_twice_and_more_often(plant, lags):
+    """What passes the process `k + 1` times has its lags as often, and comes `k` return times later."""
+    u, share, back_s = moves(), 0.5, 37.4
+    often = [LagChain(plant.K * share**k, lags * (k + 1), plant.D + k * back_s) for k in range(8)]
+    recording = added(*(record(one, u) for one in often))
+    fitted = with_effect(recording, plant, "recycle", (share, math.log(back_s)))
+    assert left(fitted) < 1e-3
+    assert left(at_the_truth(recording, plant)) > 0.05
+    assert fitted.sizes() == [{"share": pytest.approx(share), "return_time_s": pytest.approx(back_s)}]
+    assert pytest.approx(plant.K, rel=1e-3) == fitted.process().K
+
+
+def test_a_recycle_through_a_tank_passes_its_lag_each_time():
+    u, share, back_s, in_tank = moves(), 0.5, 40.0, 0.3
+    often = [
+        LagChain(LAG.K * share**k, (LAG.T,) * (k + 1) + (in_tank * back_s,) * k, LAG.D + k * (1.0 - in_tank) * back_s)
+        for k in range(11)
+    ]
+    recording = added(*(record(one, u) for one in often))
+    fitted = with_effect(recording, LAG, "recycle:through a tank", (share, math.log(back_s), in_tank))
+    assert left(fitted) < 1e-3
+    assert pytest.approx(LAG.K, rel=1e-3) == fitted.process().K
+
+
 def test_heat_that_spreads_has_two_modes():
     u = moves()
     recording = added(record(LAG, u), record(Fopdt(0.6, 90.0, LAG.D), u), record(Fopdt(0.3, 18.0, LAG.D), u))

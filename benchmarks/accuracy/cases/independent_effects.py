@@ -6,6 +6,7 @@ the record. It returns a `Hidden`.
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -612,6 +613,48 @@ def piped(plant: Plant, volume: float, flow: Callable[[float, float], float]) ->
     return Hidden(plant=rest, pipe=Pipe(volume, lambda v, t: max(flow(v, t), 0.125)))
 
 
+@form("nonlinear_loss", "reaction", textbook=False)
+def reaction(d: Draw) -> Hidden:
+    """Return the plant whose last state is heated by itself, by a factor e more with every `width` above the rest."""
+    width, share = d.between(1.5, 2.5) * abs(d.plant.K) * d.swing, d.between(0.1, 0.22)
+    hidden = bent(d.plant, lambda x: -share * width * math.expm1(min(x / width, 2.0)))
+    return replace(hidden, plant=replace(hidden.plant or d.plant, K=d.plant.K / (1.0 - share)))
+
+
+def returning(plant: Plant, share: float, later_s: float, tank_s: float = 0.0) -> Plant:
+    """Return a plant to whose input a share of its output comes back a while later, through a tank where it has one."""
+    linear, measured, K, size = plant.derivative, plant.measured, plant.K, plant.size
+    times, past = [0.0], [0.0]
+
+    def f(x: Sequence[float], v: float, t: float) -> Sequence[float]:
+        pv = measured(x[:size])
+        left = x[size] if tank_s else pv
+        if t > times[-1]:
+            times.append(t)
+            past.append(left)
+        k = bisect.bisect_right(times, t - later_s)
+        back = 0.0
+        if 0 < k < len(times):
+            back = past[k - 1] + (past[k] - past[k - 1]) * (t - later_s - times[k - 1]) / (times[k] - times[k - 1])
+        moved = linear(x[:size], v + share * back / K, t)
+        return [*moved, (pv - left) / tank_s] if tank_s else moved
+
+    whole = K / (1.0 - share)
+    return replace(plant, K=whole, derivative=f, size=size + (tank_s > 0.0), measured=lambda x: measured(x[:size]))
+
+
+@form("recycle", "pipe", textbook=True)
+def recycle(d: Draw) -> Hidden:
+    share, later_s = d.between(0.3, 0.6), d.between(0.8, 2.0) * d.slow_s
+    return Hidden(plant=returning(d.plant, share, later_s), sizes={"share": share, "return_time_s": later_s})
+
+
+@form("recycle", "pipe and tank", textbook=False)
+def recycle_with_a_tank(d: Draw) -> Hidden:
+    share, later_s = d.between(0.3, 0.6), d.between(0.8, 2.0) * d.slow_s
+    return Hidden(plant=returning(d.plant, share, 0.7 * later_s, 0.3 * later_s))
+
+
 ALIKE: dict[str, frozenset[str]] = {
     "saturation:tanh": frozenset({"static_nonlinearity"}),
     "saturation:rounded knee": frozenset({"static_nonlinearity", "direction_gain"}),
@@ -635,6 +678,7 @@ ALIKE: dict[str, frozenset[str]] = {
     "bias_step:there and back": frozenset(),
     "nonlinear_loss:hardening": frozenset({"nonlinear_stiffness"}),
     "nonlinear_loss:exponential": frozenset({"nonlinear_stiffness"}),
+    "nonlinear_loss:reaction": frozenset({"nonlinear_stiffness"}),
 }
 """Other right names of a form, because it is both."""
 

@@ -196,7 +196,7 @@ def _parameters(fitted: Fitted, theta: FloatArray, linear: FloatArray) -> Mappin
 
 
 def whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | None:
-    """Return the gain of a process with a slow mode, or a second way, beside it, and its interval; None without."""
+    """Return the gain of a process with a slow mode, a second way or a recycle, and its interval; None without."""
 
     def whole(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
         share = sum(shares_beside(sizes_at(fitted.problem, theta, linear, fitted.counts)))

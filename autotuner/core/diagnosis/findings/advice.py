@@ -40,6 +40,8 @@ REMEDIES: dict[str, str] = {
     "integrating": "it does not settle: use gains for an integrating process",
     "slow_mode": "a slow second mode ({time_constant_s:.3g} s) carries a part of the answer: expect a long creep after "
     "each step; integral action takes care of it",
+    "recycle": "{share:.0%} of what leaves the process is back at its input after {return_time_s:.3g} s: expect a long "
+    "approach in steps; a shorter or smaller return, or feed-forward from it, makes the loop quicker",
     "nonlinear_loss": "losses do not grow in proportion to the PV: schedule the gains by the PV when it moves far",
     "nonlinear_stiffness": "the spring grows harder or softer with the PV: the loop rings at another frequency far "
     "from rest; schedule the gains by the PV, or stay near the point of this test",

@@ -10,7 +10,8 @@
     dead_time_jump       D <- D max(1, later_over_first)  the longer of two dead times
     extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
     inverse_response     G <- G (1 - Z s);  refused as a second way with a time constant of its own
-    slow_mode            omitted, where its slow mode is small at the crossover of a loop; else refused
+    slow_mode, recycle   omitted, where the slow mode, or what comes back, is small at the crossover of a loop; else
+                         refused
 
 Invariants: disturbances, the sensor, friction and limits change nothing here, for no gains remove them; an effect that
 no process model can represent is refused, never omitted: gains that ignore an inverse response can be unstable.
@@ -18,6 +19,7 @@ no process model can represent is refused, never omitted: gains that ignore an i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -56,9 +58,10 @@ LATER = {
 """Effects that delay the output, and the share of each size that counts as dead time; of several the largest."""
 LONGER = {"flow_delay": "longest_over_first", "dead_time_jump": "later_over_first"}
 """Effects under which the dead time is not always the same, and the size that states how much longer it becomes."""
-ZERO, SLOW_MODE, LAG = "inverse_response", "slow_mode", "extra_lag"
+ZERO, SLOW_MODE, RECYCLE, LAG = "inverse_response", "slow_mode", "recycle", "extra_lag"
 SMALL = 0.5
-"""Ratio of the slow mode's response to the process's at crossover, from which the process alone is insufficient."""
+"""Ratio of what a slow mode, or a recycle, adds at crossover to the response of the process, from which the process
+alone is insufficient."""
 ZEROS = {
     Fopdt: InverseResponse,
     SopdtOverdamped: InverseResponse,
@@ -104,7 +107,7 @@ def controller_view(
     effects : sequence of FoundEffect
         Its effects.
     """
-    if any(not _is_small(process, e.parameters) for e in effects if e.name == SLOW_MODE):
+    if any(BESIDE[e.name](process, e.parameters) >= SMALL for e in effects if e.name in BESIDE):
         return None
     stronger = max((e.parameters.get(STRONGER[e.name], 1.0) for e in effects if e.name in STRONGER), default=1.0)
     later_s = sum(_later_s(e.parameters, LATER[e.name]) for e in effects if e.name in LATER)
@@ -137,13 +140,24 @@ def _with_plugin(view: ControllerView, effect: FoundEffect) -> ControllerView | 
     return ControllerView(model, view.covariance if same else None, (*view.changes, f"{effect.name} is in it"))
 
 
-def _is_small(process: ProcessModel, sizes: Mapping[str, float]) -> bool:
-    """Return whether a slow mode, which has `share` of the whole static gain, is small compared with the process."""
+def _of_slow_mode(process: ProcessModel, sizes: Mapping[str, float]) -> float:
+    """Return the response of a slow mode, which has `share` of the whole static gain, over the process's."""
     share, w = sizes.get("share", 0.0), turn_over_frequency(process)
     if share >= 1.0:
-        return False
+        return math.inf
     slow = share / (1.0 - share) * process.K / (1.0 + 1j * w * sizes.get("time_constant_s", 0.0))
-    return abs(slow) < SMALL * abs(complex(frequency_response(process, np.array([w]))[0]))
+    return abs(slow) / abs(complex(frequency_response(process, np.array([w]))[0]))
+
+
+def _of_recycle(process: ProcessModel, sizes: Mapping[str, float]) -> float:
+    """Return the most that what comes back adds to the response of the process: all of it in phase, again and again."""
+    w = turn_over_frequency(process)
+    back = sizes.get("share", 0.0) * abs(complex(frequency_response(process, np.array([w]))[0]) / process.K)
+    return back / (1.0 - back) if back < 1.0 else math.inf
+
+
+BESIDE = {SLOW_MODE: _of_slow_mode, RECYCLE: _of_recycle}
+"""Effects that no model has, and what they add to the response of the process, over it."""
 
 
 def _later_s(sizes: Mapping[str, float], shares: Mapping[str, float]) -> float:

@@ -25,6 +25,7 @@ import numpy as np
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time
 from autotuner.core.diagnosis.effects.process.nonlinear_losses import losses
+from autotuner.core.diagnosis.effects.process.recycle import recycle
 from autotuner.core.diagnosis.effects.process.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.process.stepping import stepped, two_speeds
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
@@ -59,6 +60,7 @@ def process_effects(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
         _direction_dynamics(),
         _unequal_lags(dataset),
         *_slow_mode(dataset),
+        *recycle(dataset),
         _inverse_response(),
         _second_way(dataset),
         *gains_in_time(dataset),
