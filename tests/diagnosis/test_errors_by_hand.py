@@ -339,7 +339,7 @@ def test_loads_of_free_shape_are_ranked_by_the_criterion_where_one_of_them_leads
 
 
 @pytest.mark.parametrize(("selected", "stays"), [(1.3, False), (1.5, True)])
-def test_a_plainer_explanation_has_to_foretell_the_other_part_too(monkeypatch, selected, stays):
+def test_a_plainer_explanation_has_to_predict_the_other_part_too(monkeypatch, selected, stays):
     monkeypatch.setattr(simplify, "is_physical", lambda _: True)
     _, context = seen_of(COURSE)
     rich = model_of(context, COURSE, by_parts(1.0, 1.0, 0.0), size=4)

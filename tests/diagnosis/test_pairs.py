@@ -18,6 +18,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
+from autotuner.core.diagnosis.search.acceptance import dropped_back, is_accepted
 from autotuner.core.diagnosis.search.dynamics_search import with_process_beside_wave
 from autotuner.core.diagnosis.search.judge import by_chance, held_out, is_foreseen, is_supported, weigh, weighs_enough
 from autotuner.core.diagnosis.search.search import extend
@@ -26,8 +27,6 @@ from autotuner.core.diagnosis.search.trace import (
     _exchanged,
     _in_other_forms,
     _is_done,
-    dropped_back,
-    is_accepted,
 )
 from autotuner.core.signals.noise import rms
 from autotuner_sim import (
@@ -291,6 +290,26 @@ def test_every_curve_of_the_actuator_is_tried_beside_a_load(seed, experiment):
     assert alike.keys() == {"saturation", "load_step"}
     assert "static_nonlinearity" in alike["saturation"]
     assert answer.error["held_out"].after < 1.1 * hidden.sigma
+
+
+@pytest.mark.parametrize(
+    ("key", "seed"),
+    [
+        ("flow_delay:pipe + drift:straight", 742),
+        pytest.param("rate_limit:equal + load_step:step", 741, marks=pytest.mark.long),
+        pytest.param("saturation:hard + drift:straight", 741, marks=pytest.mark.long),
+        pytest.param("backlash:play + ambient:slow wave", 742, marks=pytest.mark.long),
+    ],
+)
+def test_each_of_two_effects_is_searched_again_beside_the_other_and_in_place_of_a_free_load(key, seed):
+    """On two moves, a limited rate stood for a pipe, a curve for a load, and a load of free shape for the last two."""
+    hidden = record_of(Case(key, seed, "short"))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    classes = [{e.name, *e.indistinguishable} for e in answer.effects]
+    expected = [part.partition(":")[0] for part in key.split(" + ")]
+    assert len(classes) == 2
+    assert any(a in first and b in second for a, b in (expected, expected[::-1]) for first, second in [classes])
+    assert answer.error["held_out"].after < 1.25 * hidden.sigma
 
 
 @pytest.mark.long  # the rule is shown by the parts of few samples

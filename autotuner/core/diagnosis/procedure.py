@@ -29,8 +29,9 @@ from autotuner.core.diagnosis.record.sensor import (
     spikes_of,
 )
 from autotuner.core.diagnosis.search.judge import VISIBLE, held_out, noise_of
+from autotuner.core.diagnosis.search.late_moves import with_own_times
 from autotuner.core.diagnosis.search.measured_disturbances import with_known
-from autotuner.core.diagnosis.search.trace import Trace, trace, with_own_times
+from autotuner.core.diagnosis.search.trace import Trace, trace
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.identification import advice
@@ -121,7 +122,7 @@ def diagnose(
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
         again = more.traced(*more.based(), [*found.pool, found.chosen])
-        if _replaces(base, found, again):
+        if _replaces(found, again):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
@@ -248,7 +249,7 @@ class _Record:
         if self.grid is not None:
             return explained_by_grid(context, base.best, self.grid)
         jitter = jitter_seen(context, base.best) if base.held is None else None
-        return jitter is not None and _foretells(context, base.best, *jitter)
+        return jitter is not None and _predicts_later(context, base.best, *jitter)
 
 
 def _of_new_readings(dataset: Dataset, new: BoolArray) -> Dataset:
@@ -261,7 +262,7 @@ def _of_new_readings(dataset: Dataset, new: BoolArray) -> Dataset:
     return replace(dataset, fitted=fitted, held_out=held_out) if enough else dataset
 
 
-def _foretells(context: FitContext, candidate: Fitted, spread_s: float, noise: float) -> bool:
+def _predicts_later(context: FitContext, candidate: Fitted, spread_s: float, noise: float) -> bool:
     """Return whether uneven sampling accounts for the error on the part that was not fitted, too."""
     t = context.dataset.data.t
     slope = np.gradient(candidate.simulated(np.arange(t.size)), t)[context.held_out]
@@ -288,13 +289,13 @@ def _left_in_all(found: Trace) -> float:
     return rms(dataset.data.pv[rows] - found.chosen.simulated(rows))
 
 
-def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
+def _replaces(found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
     """Return whether what was fitted to more of the record explains all of it better, with the same sign.
 
     That is effects, or the process alone: its numbers may only have been unsure.
     """
-    context, other, later, _ = again
-    one_sign = float(base.best.linear[0]) * float(other.best.linear[0]) > 0.0
+    context, _, later, _ = again
+    one_sign = float(found.chosen.linear[0]) * float(later.chosen.linear[0]) > 0.0
     return one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
 
 

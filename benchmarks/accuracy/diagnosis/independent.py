@@ -166,7 +166,7 @@ def judged(case: Case) -> Row:
         "alone": first and len(named) == 1,
         "one": any(meant),
         "both": len(alike) == 2 and len(set().union(*meant)) == 2,
-        "third": not all(meant),
+        "strange": [e.name for e, keys in zip(named, meant, strict=True) if not keys],
         "after": float(np.sqrt(np.mean(off**2))) / record.sigma,
         "truth": float(np.sqrt(np.mean((record.y - record.truth)[-np.count_nonzero(late) :] ** 2))) / record.sigma,
         "K": gain_and_interval(answer, record),
@@ -235,7 +235,7 @@ def is_right(row: Row) -> bool:
     if row["name"] == "clean":
         return bool(row["verdict"] == "adequate")
     if row.get("pair"):
-        return bool(not row["visible"] or (row.get("both") and not row["third"]))
+        return bool(not row["visible"] or (row.get("both") and not row["strange"]))
     return bool(row.get("alone") or not row["visible"])
 
 
@@ -263,8 +263,12 @@ def is_alone_but_for_its_own(row: Row) -> bool:
 
     A plant of third order has a third lag. It begins at rest for the output that is asked for, which steps do not take.
     """
-    own = {"extra_lag": row["plant"] == "third", "not_settled": row["name"] == "output_quantisation"}
-    return bool(row.get("first") and all(own.get(name) for name in row["names"][1:]))
+    return bool(row.get("first") and all(is_its_own(name, row) for name in row["names"][1:]))
+
+
+def is_its_own(name: str, row: Row) -> bool:
+    own = {"extra_lag": row["plant"] == "third", "not_settled": "output_quantisation" in row["name"]}
+    return own.get(name, False)
 
 
 def has(verdict: str, row: Row) -> bool:
@@ -288,7 +292,8 @@ FIGURES = {
 OF_PAIRS = {
     "both": lambda r: r.get("both"),
     "one of them": lambda r: r.get("one"),
-    "a third": lambda r: r.get("third"),
+    "a third": lambda r: r.get("strange"),
+    "a third but for what the record has": lambda r: any(not is_its_own(name, r) for name in r.get("strange", ())),
     "explained": partial(has, "explained"),
 }
 

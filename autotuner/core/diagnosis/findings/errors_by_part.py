@@ -72,7 +72,7 @@ class Errors:
         }
 
     def of_the_later_selection(self) -> Misfit:
-        """Return the errors on the later half of the selection part: a model that foretells does so there, too."""
+        """Return the errors on the later half of the selection part: a model that predicts does so there, too."""
         rows = self.context.held_out
         return self._on_the_selection_part(rows[rows.size // 2 :])
 

@@ -78,7 +78,7 @@ TEST_REFUTES = (
     "happens there"
 )
 COLOURED = (
-    "the residual is autocorrelated noise: {:.3g} in all, of which the samples before it foretell all but {:.3g} "
+    "the residual is autocorrelated noise: {:.3g} in all, of which the samples before it predict all but {:.3g} "
     "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
 )
 WAITS = (

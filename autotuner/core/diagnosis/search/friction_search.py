@@ -44,7 +44,14 @@ from autotuner.core.diagnosis.extended.extended_model import (
 )
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import alone_beside, best_on_both_parts, extend, refined, within
+from autotuner.core.diagnosis.search.search import (
+    alone_beside,
+    best_on_both_parts,
+    extend,
+    refined,
+    with_second_lag,
+    within,
+)
 from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 
@@ -79,8 +86,6 @@ WAVE_STEPS = 5
 """Most steps of the optimiser from each period of a wave."""
 OF_DISTURBANCES = (Place.DISTURBANCE, Place.SENSOR)
 """Places of effects that are tried beside bands in place of a free load."""
-SECOND_LAG = 0.3
-"""Second lag to start from, over the first."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
 """Lags of an axis to start from, in sample intervals; error over noise from which friction on the process is tried;
 error after over before, on both parts, under which it is an explanation."""
@@ -197,7 +202,7 @@ def _in_detail(context: FitContext, candidate: Fitted) -> Fitted:
         nearer = _around(context, candidate, candidate.problem.rows, *around, later)
         candidate = closest_first([candidate, *nearer])[0]
         lags = len(candidate.problem.structure.shape)
-        pair = candidate.theta if lags > 1 else np.insert(candidate.theta, 1, candidate.theta[0] + math.log(SECOND_LAG))
+        pair = candidate.theta if lags > 1 else with_second_lag(candidate.theta)
         again = fit(replace(candidate.problem, structure=SECOND_ORDER), pair, FEW_STEPS)
         candidate = again if again.rms < NEARER * candidate.rms else candidate
     return candidate

@@ -7,7 +7,7 @@
 A model of too low an order may fit to the noise with a gain that is many of its standard errors off. No residual shows
 that, but the next term does. (Buckland, Burnham and Augustin, Biometrics 53, 1997.) A richer form counts only where it
 lowers the criterion: otherwise the record speaks for the plainer one, and the rich one would open what is known. One as
-plain counts where its odds are 1 to 20 at least, and it foretells the other part as well (Occam's window; Madigan and
+plain counts where its odds are 1 to 20 at least, and it predicts the other part as well (Occam's window; Madigan and
 Raftery, J. Am. Stat. Assoc. 89, 1994).
 """
 
@@ -40,7 +40,7 @@ ONE_MORE = {FOPDT: SECOND_ORDER, SECOND_ORDER: THIRD_ORDER}
 WINDOW = 2.0 * math.log(20.0)
 """How much higher the criterion of a form may be that is as plain: odds of 20 (Madigan and Raftery)."""
 ALIKE_MISFIT = 1.04
-"""Ratio of the errors on the part not fitted under which two forms foretell it about as well."""
+"""Ratio of the errors on the part not fitted under which two forms predict it about as well."""
 SHARES = (0.05, 0.2)
 """Initial guesses of the further lag, relative to the longest number of the process."""
 
@@ -61,7 +61,7 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
 
 
 def _alike(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...]) -> list[Fitted]:
-    """Return the other forms of a pool, one of each, that foretell the part not fitted about as well."""
+    """Return the other forms of a pool, one of each, that predict the part not fitted about as well."""
     problem, known = chosen.problem, {tuple(e.key for e in chosen.problem.effects)}
     most = ALIKE_MISFIT * math.hypot(context.held_out_error(chosen), context.dataset.floor)
     found, split = [], _is_split(chosen)

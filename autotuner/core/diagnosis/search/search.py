@@ -8,6 +8,7 @@ fine     the best on all fitted samples, jointly with the process
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import takewhile
 from typing import TYPE_CHECKING, TypeVar
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.budget import Budget
     from autotuner.core.diagnosis.search.screen import Start
-    from autotuner.core.model.arrays import IntArray
+    from autotuner.core.model.arrays import FloatArray, IntArray
 
 QUICK_STEPS, COARSE_STEPS, FINE_STEPS = 5, 15, 30
 FIRST, FURTHER = (24, 9, 7), (12, 8, 5)
@@ -48,6 +49,8 @@ ALWAYS_TRIED = frozenset({"backlash", "stiction", "rate_limit"})
 """Effects that are always carried on: far from its size, one is worse than none, however well it fits in the end."""
 AS_NEAR = 1.1
 """Ratio of the misfits up to which an explanation comes as near as another one: noise of 100 samples makes as much."""
+SECOND_LAG = 0.3
+"""Second lag to start from, over the first."""
 SAME = 1.02
 """Ratio of the misfits up to which another way of writing a candidate is the same."""
 
@@ -167,6 +170,17 @@ def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> lis
     free = [c for c in ranked if is_beside_free_load(c)]
     others = [c for c in ranked if not is_beside_free_load(c)]
     return [*context.by_criterion(free, min(map(context.colour, free))), *others]
+
+
+def with_second_lag(theta: FloatArray) -> FloatArray:
+    """Return the numbers of a process of one lag, with effects, as a start for one of two."""
+    return np.insert(theta, 1, theta[0] + math.log(SECOND_LAG))
+
+
+def has_several(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether a record that is no experiment has several effects, all of which were searched for."""
+    found = candidate.problem.effects
+    return not context.dataset.tuned and len(found) > 1 and not any(effect.measured for effect in found)
 
 
 def refined(context: FitContext, candidate: Fitted) -> Fitted:

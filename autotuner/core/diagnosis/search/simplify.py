@@ -35,7 +35,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import AS_NEAR, FINE_STEPS, alone_beside, extend, without
+from autotuner.core.diagnosis.search.search import AS_NEAR, FINE_STEPS, alone_beside, extend, has_several, without
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def with_one_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]
 
     From the process alone the search may not find that form, and mend the wrong one with a further effect.
     """
-    if context.dataset.tuned or len(chosen.names) < PAIR or any(e.measured for e in chosen.problem.effects):
+    if not has_several(context, chosen):
         return chosen
     tried = []
     for kept, dropped in permutations(chosen.problem.effects, 2):

@@ -6,23 +6,24 @@ that only work together are found; in the end each one must be needed with the o
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from autotuner.core.diagnosis.effects import catalogue
-from autotuner.core.diagnosis.effects.actuator.flow_delay import dead_time_jump
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
-from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_every
-from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import is_noise_instead
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
+from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.search.acceptance import (
+    dropped_back,
+    is_accepted,
+    is_free_load,
+    is_near_later,
+    is_noise,
+)
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import (
     with_curve_in_loop,
@@ -39,17 +40,12 @@ from autotuner.core.diagnosis.search.friction_search import (
     with_wave,
 )
 from autotuner.core.diagnosis.search.judge import (
-    NOISE_ELSEWHERE,
     NOTHING_LEFT,
     VISIBLE,
     is_beside_free_load,
-    is_foreseen,
-    is_helpful,
-    is_supported,
     noise_of,
-    weigh,
-    weighs_enough,
 )
+from autotuner.core.diagnosis.search.late_moves import late_instead, with_uneven_updates
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import (
@@ -59,10 +55,10 @@ from autotuner.core.diagnosis.search.search import (
     better_of,
     extend,
     finished,
+    has_several,
     in_each_form,
     sketched,
     within,
-    without,
 )
 from autotuner.core.diagnosis.search.simplify import (
     CURVES,
@@ -81,7 +77,6 @@ from autotuner.core.diagnosis.search.simplify import (
     with_third_lag,
 )
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,21 +89,8 @@ if TYPE_CHECKING:
 
 MOST_EFFECTS = 3
 """Most effects of one explanation: with more free effects the search could explain any record."""
-UNEVEN, WORSE = 0.6, 1.25
-"""Ratio of misfits below which delays of every move, many parameters, are accepted; and the largest ratio on
-the held-out part, whose moves have their own delays."""
-LATE = 1.5
-"""Smallest spread of the delays, in samples."""
-TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
-"""Delays of a move that are tried, relative to the longest, and the most steps of the optimiser after it."""
-SECOND_LAG = 0.3
-"""Initial guess of the second lag, relative to the first."""
 EXCHANGED = 3
 """Pairs whose effects are searched again, each beside the other, and tried in other forms."""
-GOES_ON = frozenset({"drift", "load_step"})
-"""Names of a load of free shape that goes one way: its textbook forms say how it goes on."""
-FLOW, PAIR = "flow_delay", 2
-"""Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 COLOURED = 2.0
 """Samples per independent one from which a residual as small as the noise may hide a further effect."""
 KNOWN = 6
@@ -169,7 +151,7 @@ def trace(
     beside += _fitted_again(context, earlier)
     beams = [] if enough else beams
     for _ in range(MOST_EFFECTS):
-        if pool and is_noise(context, best):
+        if pool and is_noise(context, best) and not is_free_load(context, best):
             break
         sketches = [sketched(context, beam, effects) for beam in beams]
         found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
@@ -192,12 +174,12 @@ def trace(
             [at_the_input(context, c) for c in beam] for beam in [*_carried(context, best, found, sketches), *jumped]
         ]
     best, curved = _with_free_curve(context, base, best, declared)
-    best, late = _with_uneven_updates(context, base, best)
+    best, late = with_uneven_updates(context, base, best)
     pool += curved
-    chosen, in_place = _with_needed_effects(context, base, best, steps, effects)
+    chosen, tried = _with_needed_effects(context, base, best, steps, effects)
     chosen, stepped = with_steps(context, chosen)
-    pool += [*in_place, *(stepped or _steps_instead(context, chosen, pool))]
-    pool += late or _late_instead(context, base, chosen)
+    pool += [*tried, *(stepped or _steps_instead(context, chosen, pool))]
+    pool += late or late_instead(context, base, chosen)
     alone, chosen = _without_effects(context, base, alone, chosen)
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
@@ -211,8 +193,8 @@ def _with_needed_effects(
     dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
-    placed, in_place = _with_others_in_place(context, chosen, effects)
-    return (chosen if placed is chosen else dropped_back(context, base, placed)), in_place
+    closest, tried = _with_each_searched_again(context, chosen, effects)
+    return (chosen if closest is chosen else dropped_back(context, base, closest)), tried
 
 
 def _without_effects(context: FitContext, base: Base, alone: Fitted, chosen: Fitted) -> tuple[Fitted, Fitted]:
@@ -286,8 +268,10 @@ def _carried(
     if context.dataset.tuned:
         return [[c] for c in _distinct(found)[:BEAM]]
     every = [*found, *(c for of in sketches for c in of)]
-    single = _distinct(closest_first(c for c in every if len(c.names) == 1 and is_physical(c)))
-    others = [c for c in single if c.names != best.names][:BEAM]
+    single = [c for c in every if len(c.names) == 1 and is_physical(c)]
+    free = is_free_load(context, best)
+    other = [c for c in single if c.names != best.names or (free and not is_free_load(context, c))]
+    others = _distinct(closest_first(other))[:BEAM]
     groups = [[best]] if best.problem.effects or not others else []
     return [*groups, others] if others else groups
 
@@ -308,19 +292,19 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
     return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
 
 
-def _with_others_in_place(
+def _with_each_searched_again(
     context: FitContext, chosen: Fitted, effects: Sequence[Effect]
 ) -> tuple[Fitted, list[Fitted]]:
-    """Return several effects, each the best one of those at its place beside the others, and all that was tried.
+    """Return several effects, each the best one of all beside the others, and all that was tried.
 
-    Where a search begins decides which of several curves of the actuator it finds beside a load.
+    Where a search begins decides which of several effects it finds beside another one.
     """
     tried: list[Fitted] = []
-    if context.dataset.tuned or len(chosen.names) < PAIR or any(e.measured for e in chosen.problem.effects):
+    if not has_several(context, chosen):
         return chosen, tried
     for effect in chosen.problem.effects:
         kept = [e for e in chosen.problem.effects if e is not effect]
-        others = [e for e in effects if e.place is effect.place and e.name not in chosen.names]
+        others = [e for e in effects if e.name not in chosen.names]
         if effect.reads_as is None and others and not context.dataset.budget.spent:
             tried += extend(context, [alone_beside(context, chosen, *kept)], others)
     near = [c for c in tried if context.criterion(c, 1.0) < context.criterion(chosen, 1.0)]
@@ -331,7 +315,7 @@ def _to_improve(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
     """Return the pairs of a record that is no experiment, the closest first; none where something leaves only noise."""
     if context.dataset.tuned or any(is_noise(context, c) for c in found):
         return []
-    return [c for c in _distinct(found) if len(c.names) == PAIR]
+    return [c for c in _distinct(found) if len(c.names) == 2]
 
 
 def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
@@ -349,21 +333,6 @@ def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Seque
         and (forms := [e for e in effects if e.name == exchanged.name and e.form != exchanged.form])
     ]
     return [c for beside, forms in exchanges for c in in_each_form(context, beside, forms)]
-
-
-def _with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
-    """Return delays of single moves as explanation of a record that nothing else explains."""
-    named = bool(best.problem.effects)
-    if named and best.rms < VISIBLE * noise_of(context, best):
-        return best, []
-    most = context.held_out_error(best) if named else WORSE * context.held_out_error(base.best)
-    found = with_own_times(context, base)
-    found = [*found, *(even for timed in found[:1] for even in _on_a_grid(context, timed))]
-    inflated = min((context.colour(c) for c in found), default=1.0)
-    better = [c for c in found if context.criterion(c, inflated) < context.criterion(best, inflated)]
-    better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
-    accepted = [c for c in better if is_accepted(context, base, base.best, c) and _is_as_good(context, c, most)]
-    return next(iter(without_rounding(accepted, lambda c: _surprise(context, c), plainness)), best), found
 
 
 def _with_free_curve(
@@ -389,49 +358,6 @@ def _with_free_curve(
     return context.best([best, *accepted]), [*curves, *beside]
 
 
-def _left_over(context: FitContext, timed: Fitted) -> float:
-    """Return the larger error of the two parts, over the error expected there if the explanation is right."""
-    noise = noise_of(context, timed)
-    return max(timed.rms / noise, context.held_out_error(timed) / context.expected(timed, noise))
-
-
-def _surprise(context: FitContext, timed: Fitted) -> float:
-    """Return the negative log likelihood of a sample of the held-out part, for a normal distribution of expected width.
-
-    Even updates predict the times of the moves; uneven ones predict their spread.
-    """
-    expected = context.expected(timed, noise_of(context, timed))
-    return math.log(expected) + (context.held_out_error(timed) / expected) ** 2 / 2.0
-
-
-def _is_as_good(context: FitContext, timed: Fitted, most: float) -> bool:
-    """Return whether updates leave no more of the part not fitted than others do, or than unknown latenesses make."""
-    return context.held_out_error(timed) < most or _left_over(context, timed) < VISIBLE
-
-
-def _most_left(best: Fitted, timed: Fitted) -> float:
-    """Return the misfit over that of the best explanation under which updates are accepted.
-
-    Those at even times are two numbers, and one effect: they need not be much closer than several effects together.
-    """
-    even = timed.problem.effects[0].form != "uneven"
-    return 1.0 if even and len(best.names) > 1 else UNEVEN
-
-
-def _on_a_grid(context: FitContext, timed: Fitted) -> list[Fitted]:
-    """Return the process with updates at even times that the latenesses of the moves suggest."""
-    grids = grids_of_times(timed)
-    head = timed.theta[: len(timed.problem.structure.shape) + 1]
-    origin = fit(replace(timed.problem, effects=(), rows=context.coarse), head, 0)
-    return extend(context, [origin], [updated_every(context.dataset, grids)]) if grids else []
-
-
-def _spread_of_times(timed: Fitted) -> float:
-    """Return how far apart the latenesses of the moves lie, in sample intervals."""
-    times = timed.problem.split(timed.theta)[2][0]
-    return float(np.ptp(times)) if len(times) > 2 else math.inf  # a grid has a period and a phase
-
-
 def _from_its_process(context: FitContext, best: Fitted, declared: ProcessModel | None) -> Fitted:
     """Return the first effect, searched again from the process with the others, which is a closer start.
 
@@ -445,38 +371,6 @@ def _from_its_process(context: FitContext, best: Fitted, declared: ProcessModel 
     place = best.problem.effects[0].place
     found = extend(context, [origin], [e for e in effects if e.place is place])
     return context.best([best, *found])
-
-
-def with_own_times(context: FitContext, base: Base, fewest: int = FEWEST) -> list[Fitted]:
-    """Return the process with delays of single moves of an output in open loop."""
-    if context.dataset.in_loop or context.dataset.budget.spent:
-        return []
-    origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
-    timed = [(origin, uneven_updates(origin, context.coarse, fewest)) for origin in origins]
-    found = [c for origin, effect in timed if effect is not None for c in extend(context, [origin], [effect])]
-    return closest_first([*found, *(_move_by_move(context, c) for c in closest_first(found)[:1])])
-
-
-def _move_by_move(context: FitContext, timed: Fitted) -> Fitted:
-    """Return latenesses searched for one after the other, then together: a move that the next one swallowed is far off.
-
-    A slope does not lead there, because a move that has no effect has no slope.
-    """
-    if timed.rms < NOTHING_LEFT * noise_of(context, timed) or context.dataset.budget.spent:
-        return timed
-    problem, dataset = replace(timed.problem, rows=context.screen), context.dataset
-    first = len(problem.structure.shape) + 1
-    steps = dataset.data.held.steps[1 : timed.theta.size - first + 1]
-    unit, most = dataset.data.interval_s / problem.unit_s, problem.searched[-1].high
-    best = fit(problem, timed.theta, 0)
-    for k in within(dataset.budget, np.argsort(-np.abs(steps))):
-        tried = [one_later(best.theta, int(k), most * share, first, steps, unit) for share in TRIED_TIMES]
-        best = closest_first([best, *(fit(problem, theta, 0) for theta in tried)])[0]
-    again = [fit(replace(problem, rows=context.fine), best.theta, ONE_BY_ONE)]
-    if problem.structure is FOPDT:
-        pair = np.concatenate((best.theta[:1], best.theta[:1] + math.log(SECOND_LAG), best.theta[1:]))
-        again.append(fit(replace(problem, structure=SECOND_ORDER, rows=context.fine), pair, ONE_BY_ONE))
-    return closest_first([timed, *filter(is_physical, again)])[0]
 
 
 def _following(context: FitContext, base: Base, best: Fitted, found: Sequence[Fitted]) -> tuple[Fitted, bool]:
@@ -517,13 +411,6 @@ def _has_an_answer(candidate: Fitted) -> bool:
     return any(effect.name == LOAD and answers_a_move(sizes, problem.dataset, delay_s) for effect, sizes in named)
 
 
-def is_noise(context: FitContext, candidate: Fitted) -> bool:
-    """Return whether a candidate leaves white noise of the size that the sensor has."""
-    noise, held = noise_of(context, candidate), context.held_out_residual(candidate)
-    small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (NOISE_ELSEWHERE * noise) ** 2
-    return small and context.colour(candidate) == 1.0
-
-
 def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: bool) -> bool:
     """Return whether to stop: no time or nothing left, or nothing accepted though one effect was already."""
     if context.dataset.budget.spent:
@@ -538,66 +425,15 @@ def _holds_later(context: FitContext, candidate: Fitted) -> bool:
     """Return whether an explanation predicts the other part, or errs there by no more than its numbers may be off."""
     if context.dataset.tuned:
         return True
-    noise = noise_of(context, candidate)
-    near = context.held_out_error(candidate) < VISIBLE * noise or is_foreseen(context, candidate, noise)
-    return near and not _fails_later(context, candidate)
-
-
-def _fails_later(context: FitContext, candidate: Fitted) -> bool:
-    """Return whether the one effect is a load of free shape that goes one way, and fails after the fitted part.
-
-    It follows whatever else the fitted part has, such as a relay's equal periods.
-    """
-    free = len(candidate.problem.effects) == 1 and candidate.problem.effects[0].reads_as is not None
-    if context.dataset.tuned or not free or candidate.reported_names()[0] not in GOES_ON:
-        return False
-    return context.held_out_error(candidate) > VISIBLE * noise_of(context, candidate)
-
-
-def _predicts_instead(context: FitContext, before: Fitted, after: Fitted) -> bool:
-    """Return whether an explanation leaves noise on both parts where a load of free shape fails on the other one."""
-    if not _fails_later(context, before) or set(before.names) & set(after.names):
-        return False
-    return context.criterion(after, 1.0) < context.criterion(before, 1.0) and is_noise(context, after)
+    return is_near_later(context, candidate) and not is_free_load(context, candidate)
 
 
 def _is_late(context: FitContext, base: Base, steps: Sequence[Fitted]) -> bool:
     """Return whether moves that arrive late leave nothing that a second effect could explain."""
-    return len(steps) == 1 and is_noise(context, _with_uneven_updates(context, base, steps[0])[0])
-
-
-def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) -> bool:
-    """Return whether an explanation with more effects is accepted against one with fewer."""
-    first = all(e.measured for e in before.problem.effects)  # measured disturbances are given, not found
-    new = [e for e in after.problem.effects if e.name not in before.names]
-    seen = any(not e.unseen_after for e in new)
-    if context.dataset.tuned and not first and not seen:
-        return False  # an experiment begins at rest: what mends its beginning mends something else
-    if first and base.held is not None and after.problem.fixed is not None:
-        # With the declared values held, the effect has to beat other values of the same model, too.
-        against = weigh(context, base.held, after)
-        inflated = context.colour(after)
-        return is_supported(against, first=True, seen_held_out=seen) and context.criterion(
-            after, inflated
-        ) < context.criterion(before, inflated)
-    if _predicts_instead(context, before, after):
-        return True
-    if not is_supported(weigh(context, before, after), first=first, seen_held_out=seen):
+    if len(steps) != 1:
         return False
-    instead = not context.dataset.tuned and not set(before.names) <= set(after.names)  # no mend of the first one's form
-    return first or instead or weighs_enough(context, base.best, before, after)
-
-
-def _late_instead(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:
-    """Return moves that are late by times of their own, and a dead time that jumps between two of them.
-
-    Where no further move separates them from another effect, all are reported.
-    """
-    few = bool(chosen.problem.effects) and context.dataset.data.held.times.size <= FEWEST
-    if not few and FLOW not in chosen.names:
-        return []
-    jump = extend(context, base.origins, [dead_time_jump(context.dataset, fewest=1)])
-    return [*with_own_times(context, base, PAIR), *jump]
+    late, _ = with_uneven_updates(context, base, steps[0])
+    return late is not steps[0] and is_noise(context, late)
 
 
 def _steps_instead(context: FitContext, chosen: Fitted, pool: Sequence[Fitted]) -> list[Fitted]:
@@ -614,24 +450,3 @@ def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
     for candidate in found:
         kept.setdefault(tuple(sorted(candidate.names)), candidate)
     return list(kept.values())
-
-
-def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
-    """Remove every effect that is no longer needed."""
-    if len(best.problem.effects) < 2:
-        return best
-    # What was measured goes last: a guess that is not needed beside it gives way first.
-    for effect in sorted(best.problem.effects, key=lambda e: e.measured):
-        simpler = without(context, best, effect)
-        evidence = weigh(context, simpler, best)
-        if effect.measured and (is_helpful(evidence) or not is_noise(context, simpler)):
-            continue  # it is known to act: a guess that leaves more than noise does not take its place
-        if effect.name in SLIPS and that_stick(context, [simpler, best]):
-            continue
-        needed = is_supported(evidence, first=False, seen_held_out=not effect.unseen_after)
-        needed = needed and weighs_enough(context, base.best, simpler, best)
-        # One effect alone has to be accepted, too: two may only hold together.
-        alone = len(simpler.problem.effects) > 1 or is_accepted(context, base, base.best, simpler)
-        if alone and not needed:
-            return dropped_back(context, base, simpler)
-    return best

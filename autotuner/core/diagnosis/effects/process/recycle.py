@@ -40,8 +40,8 @@ POINTS = 1000
 """Points of the grid over a record."""
 SHARES, TIMES = (0.3, 0.6), (0.02, 0.04, 0.08, 0.16)
 """Starts of the share, and of the time over the length of the record."""
-IN_TANK, MOST_IN_TANK = 0.3, 0.9
-"""Start and bound of the part of the return time in a tank: with all of it there, what comes back is a slow mode."""
+IN_TANK, MOST_IN_TANK = 0.3, 0.6
+"""Start and bound of the part of the return time in a tank: with nearly all of it there, it is a slow mode."""
 
 
 def recycle(dataset: Dataset) -> tuple[Effect, ...]:
