@@ -312,6 +312,39 @@ def test_each_of_two_effects_is_searched_again_beside_the_other_and_in_place_of_
     assert answer.error["held_out"].after < 1.25 * hidden.sigma
 
 
+@pytest.mark.parametrize(
+    ("key", "seed", "experiment"),
+    [
+        ("saturation:hard + periodic_disturbance:sine", 739, "relay"),
+        pytest.param("saturation:hard + periodic_disturbance:sine", 742, "loop", marks=pytest.mark.long),
+        pytest.param("saturation:hard + drift:straight", 740, "loop", marks=pytest.mark.long),
+        pytest.param("saturation:hard + load_step:step", 734, "loop", marks=pytest.mark.long),
+    ],
+)
+def test_a_limit_of_the_actuator_is_found_beside_a_disturbance_that_hides_the_process(key, seed, experiment):
+    """In these loops the process alone was an integrator, which nothing beside it explains."""
+    hidden = record_of(Case(key, seed, experiment))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    disturbance = key.partition(" + ")[2].partition(":")[0]
+    named = {e.name: {e.name, *e.indistinguishable} for e in answer.effects}
+    assert disturbance in named
+    assert len(named) == 2
+    assert {"saturation", "direction_gain"} & set.union(*(n for name, n in named.items() if name != disturbance))
+    assert answer.error["held_out"].after < 1.1 * hidden.sigma
+
+
+@pytest.mark.long  # that narrow bands are searched in a loop is all there is to it
+def test_play_of_a_ninth_of_the_way_of_an_output_in_a_loop_is_named_beside_a_load():
+    hidden = record_of(Case("backlash:play + load_step:step", 743, "loop"))
+    width = 2.0 * hidden.hidden.actuator.half
+    assert width < np.ptp(hidden.u) / 8.0
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    sizes = {e.name: e.parameters for e in answer.effects}
+    assert sizes.keys() == {"backlash", "load_step"}
+    assert sizes["backlash"]["width"] == pytest.approx(width, rel=0.1)
+    assert answer.error["held_out"].after < 1.15 * hidden.sigma
+
+
 @pytest.mark.long  # the rule is shown by the parts of few samples
 def test_play_beside_a_slow_wave_is_named_where_few_samples_are_left_to_confirm_it():
     hidden = record_of(Case("backlash:play + ambient:slow wave", 735, "random"))

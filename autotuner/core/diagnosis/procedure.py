@@ -28,6 +28,7 @@ from autotuner.core.diagnosis.record.sensor import (
     new_readings,
     spikes_of,
 )
+from autotuner.core.diagnosis.search.acceptance import is_noise
 from autotuner.core.diagnosis.search.judge import VISIBLE, held_out, noise_of
 from autotuner.core.diagnosis.search.late_moves import with_own_times
 from autotuner.core.diagnosis.search.measured_disturbances import with_known
@@ -122,7 +123,7 @@ def diagnose(
     if share > 0.0 and not context.dataset.budget.spent:
         more = replace(record, tail_share=share)
         again = more.traced(*more.based(), [*found.pool, found.chosen])
-        if _replaces(found, again):
+        if _replaces(base, found, again):
             context, base, found, spikes = again
             parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
@@ -289,14 +290,21 @@ def _left_in_all(found: Trace) -> float:
     return rms(dataset.data.pv[rows] - found.chosen.simulated(rows))
 
 
-def _replaces(found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
+def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
     """Return whether what was fitted to more of the record explains all of it better, with the same sign.
 
-    That is effects, or the process alone: its numbers may only have been unsure.
+    That is effects, or the process alone: its numbers may only have been unsure. Where the processes alone differ in
+    sign, those beside effects decide, if these leave only noise.
     """
-    context, _, later, _ = again
-    one_sign = float(found.chosen.linear[0]) * float(later.chosen.linear[0]) > 0.0
+    context, other, later, _ = again
+    one_sign = _same_sign(base.best, other.best) or (
+        is_noise(context, later.chosen) and _same_sign(found.chosen, later.chosen)
+    )
     return one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
+
+
+def _same_sign(first: Fitted, second: Fitted) -> bool:
+    return float(first.linear[0]) * float(second.linear[0]) > 0.0
 
 
 def _is_as_good_later(context: FitContext, found: Trace) -> bool:

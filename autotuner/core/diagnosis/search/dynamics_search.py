@@ -18,6 +18,7 @@ import numpy as np
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, alone_beside, extend, refined, within
@@ -47,6 +48,10 @@ FOLLOWED = 8
 """Starts beside pairs of lags from which a fit begins."""
 CURVE = "curve"
 """Group of the effects that give each level of the output a position."""
+OF_DISTURBANCES = (Place.DISTURBANCE, Place.SENSOR)
+"""Places of effects that are tried beside a curve in place of a free load."""
+FAR_FROM_ALONE = ("time_proportioning", "rate_limit")
+"""Effects of the output that keep the process alone far from what it is."""
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
@@ -72,32 +77,27 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     if wave is None or pair is None or dataset.tuned or pair.problem.effects:
         return []
     problem = replace(pair.problem.with_effect(wave), rows=context.coarse)
-    lines = [
-        f
-        for f in spectral_lines(dataset, dataset.data.pv)[:STRONGEST]
-        if share_of_wave(dataset, dataset.data.pv, f) > WAVE
-    ]
     found = [
         fit(problem, np.append(shape, math.log(line)), COARSE_STEPS, ENOUGH_FOR_RANKS)
-        for line, shape in within(dataset.budget, product(lines, _shapes(dataset)))
+        for line, shape in within(dataset.budget, product(_large_waves(dataset), _shapes(dataset)))
     ]
     return _closest(context, found, pair)
 
 
-def with_switched_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return a time-proportioned output with a pair of lags that is searched for beside it, fitted on all samples.
+def with_slow_or_switched_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return a time-proportioned output, and a limited rate, each with a pair of lags that is searched for beside it.
 
-    The process alone lies far from the process behind a ripple.
+    The process alone lies far from the process behind a ripple, or behind an actuator that hardly arrives.
     """
     pair = _free_pair(base.origins)
-    switched = [e for e in effects if e.name == "time_proportioning"]
-    if pair is None or not switched:
+    if pair is None:
         return []
     shapes = [
         *_shapes(context.dataset),
         *(o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure),
     ]
-    return _closest(context, _beside_each(context, pair, switched, shapes), pair)
+    of_names = [[e for e in effects if e.name == name] for name in FAR_FROM_ALONE]
+    return [c for of in of_names if of for c in _closest(context, _beside_each(context, pair, of, shapes), pair)]
 
 
 def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -116,12 +116,61 @@ def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect
     return extend(context, origins, curves) if origins else []
 
 
-def _beside_each(
-    context: FitContext, pair: Fitted, effects: Sequence[Effect], shapes: Sequence[FloatArray]
+def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return each curve of an actuator with a disturbance: neither is visible without the other.
+
+    A large wave of the PV is one. In a loop, the curve is found beside a load of free shape, which a disturbance then
+    takes the place of.
+    """
+    pair, curves = _free_pair(base.origins), [e for e in effects if e.group == CURVE]
+    free = next((e for e in effects if e.reads_as is not None), None)
+    wave = next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
+    if context.dataset.tuned or pair is None or pair.problem.effects or not curves:
+        return []
+    found = []
+    if wave is not None:
+        lines = within(context.dataset.budget, _large_waves(context.dataset))
+        beside = [c for f in lines for c in _curves_beside(context, pair, curves, wave, [math.log(f)])]
+        found += [refined(context, c) for c in closest_first(beside)[:1]]
+    if free is not None and context.dataset.controller is not None:
+        loads = [e for e in effects if e.place in OF_DISTURBANCES and not e.measured]
+        alone = [alone_beside(context, c, *c.problem.effects[:1]) for c in _curves_beside(context, pair, curves, free)]
+        found += extend(context, alone, loads) if alone else []
+    return [c for c in found if is_physical(c)]
+
+
+def _curves_beside(
+    context: FitContext, pair: Fitted, curves: Sequence[Effect], load: Effect, numbers: Sequence[float] = ()
 ) -> list[Fitted]:
-    """Return the closest starts of effects beside pairs of lags, fitted on few samples."""
+    """Return the closest of each curve of an actuator beside a load with its numbers, where it is closer than that."""
+    problem = replace(pair.problem.with_effect(load), rows=context.coarse)
+    beside = fit(problem, np.append(pair.theta, numbers), COARSE_STEPS)
+    closest: dict[str, Fitted] = {}
+    for c in closest_first(_beside_each(context, beside, curves, [*_shapes(context.dataset), pair.theta], numbers)):
+        if c.rms < beside.rms and is_physical(c):
+            closest.setdefault(c.problem.effects[0].key, c)
+    return list(closest.values())
+
+
+def _large_waves(dataset: Dataset) -> list[float]:
+    """Return the lines of the PV that have a large share of its variance, in periods per record."""
+    pv = dataset.data.pv
+    return [f for f in spectral_lines(dataset, pv)[:STRONGEST] if share_of_wave(dataset, pv, f) > WAVE]
+
+
+def _beside_each(
+    context: FitContext,
+    pair: Fitted,
+    effects: Sequence[Effect],
+    shapes: Sequence[FloatArray],
+    numbers: Sequence[float] = (),
+) -> list[Fitted]:
+    """Return the closest starts of effects beside pairs of lags, fitted on few samples.
+
+    `numbers` are those of an effect that the pair has, which comes after them in the row from output to PV.
+    """
     tried = [
-        fit(replace(pair.problem.with_effect(e), rows=context.screen), np.append(shape, start), 0)
+        fit(replace(pair.problem.with_effect(e), rows=context.screen), np.concatenate((shape, start, numbers)), 0)
         for e, shape in within(context.dataset.budget, product(effects, shapes))
         for start in e.starts
     ]

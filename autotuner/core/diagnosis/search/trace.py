@@ -26,10 +26,11 @@ from autotuner.core.diagnosis.search.acceptance import (
 )
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
 from autotuner.core.diagnosis.search.dynamics_search import (
+    with_curve_beside_a_load,
     with_curve_in_loop,
     with_less_dead_time,
     with_process_beside_wave,
-    with_switched_output,
+    with_slow_or_switched_output,
     with_varying_dead_time,
 )
 from autotuner.core.diagnosis.search.friction_search import (
@@ -227,8 +228,9 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
         if any(is_noise(context, candidate) for candidate in friction):
             return friction, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
-    late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
+    late += [*with_process_beside_wave(context, base, effects), *with_slow_or_switched_output(context, base, effects)]
     late += with_curve_in_loop(context, base, effects)
+    late += with_curve_beside_a_load(context, base, effects)
     return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
 
 

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
 SLIPS = {"stiction", "backlash"}
 """Names of the effects of this file."""
-SMALLEST, SMALLEST_IN_LOOP, LARGEST = 0.004, 0.2, 0.9
-"""Bounds of the bands, in swings of the output: a loop cycles over about its valve's band, so a record of it does not
-show a much smaller one."""
+SMALLEST, SMALLEST_IN_LOOP, LARGEST = 0.004, 0.05, 0.9
+"""Bounds of the bands, in swings of the output: a loop cycles over about its valve's band, and moves of its set point
+are rarely more than twenty times that."""
 TURNS = (0.15, 0.25, 0.4)
 """Return of the output that counts as a reversal, in swings."""
 PLATEAUS = (0.0, 0.03, 0.1)
