@@ -315,7 +315,7 @@ def test_each_of_two_effects_is_searched_again_beside_the_other_and_in_place_of_
 @pytest.mark.parametrize(
     ("key", "seed", "experiment"),
     [
-        ("saturation:hard + periodic_disturbance:sine", 739, "relay"),
+        ("saturation:hard + periodic_disturbance:sine", 734, "relay"),
         pytest.param("saturation:hard + periodic_disturbance:sine", 742, "loop", marks=pytest.mark.long),
         pytest.param("saturation:hard + drift:straight", 740, "loop", marks=pytest.mark.long),
         pytest.param("saturation:hard + load_step:step", 734, "loop", marks=pytest.mark.long),

@@ -8,6 +8,7 @@
     sign         in a closed loop, the gain has the same sign without the effects
     selection    its later half is fitted as well as the whole; the effects do not increase the error on it
     readings     a sensor that repeats its readings has sent enough new ones
+    course       a load of free shape is not alone: it predicts nothing of what follows
     answer       no load begins or ends, and no drift begins, where one of a few moves of the output arrives at the PV
 
 Invariants: all reasons follow from fit and selection part; each one is a sentence for the reader.
@@ -22,6 +23,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE
 from autotuner.core.diagnosis.record.sensor import FEWEST_NEW, new_readings
+from autotuner.core.diagnosis.search.acceptance import is_free_load
 from autotuner.core.diagnosis.search.coincidence import BEGINS, DRIFT, LOAD, answers_a_move
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.quantiles import NORMAL_95
@@ -29,6 +31,8 @@ from autotuner.core.quantiles import NORMAL_95
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.findings.result import FoundEffect, Misfit
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.diagnosis.record.sensor import Grid
@@ -120,6 +124,13 @@ def doubts_about_moments(effects: Sequence[FoundEffect], dataset: Dataset, delay
         if (effect.name == LOAD and answers_a_move(effect.parameters, dataset, delay_s))
         or (effect.name == DRIFT and answers_a_move(effect.parameters, dataset, delay_s, _error_of_beginning(effect)))
     ]
+
+
+def doubts_about_course(context: FitContext, chosen: Fitted) -> list[str]:
+    """Return why a load of free shape alone is no explanation: it follows whatever the fitted part has."""
+    if not is_free_load(context, chosen):
+        return []
+    return [f"{chosen.reported_names()[0]} is a hypothesis: a load of free shape predicts nothing of what follows"]
 
 
 def _error_of_beginning(effect: FoundEffect) -> float:

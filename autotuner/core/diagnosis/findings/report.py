@@ -20,6 +20,7 @@ from autotuner.core.diagnosis.extended.intervals import (
 from autotuner.core.diagnosis.findings.advice import remedy, separating
 from autotuner.core.diagnosis.findings.doubts import (
     doubts_about,
+    doubts_about_course,
     doubts_about_errors,
     doubts_about_moments,
     doubts_about_process,
@@ -200,6 +201,7 @@ def _doubts(
     _, delay_s, _ = chosen.problem.split(chosen.theta)
     return [
         *doubts_about(effects, in_loop=context.dataset.in_loop),
+        *doubts_about_course(context, chosen),
         *doubts_about_moments(effects, context.dataset, delay_s),
         *doubts_about_process(found.alone.process(), chosen.process(), covariance, in_loop=context.dataset.in_loop),
         *doubts_about_errors(selection, errors.of_the_later_selection()),

@@ -50,8 +50,11 @@ CURVE = "curve"
 """Group of the effects that give each level of the output a position."""
 OF_DISTURBANCES = (Place.DISTURBANCE, Place.SENSOR)
 """Places of effects that are tried beside a curve in place of a free load."""
-FAR_FROM_ALONE = ("time_proportioning", "rate_limit")
-"""Effects of the output that keep the process alone far from what it is."""
+NEAR, CLOSER = 1.3, 0.97
+"""Misfit of a start over that of the pair of lags alone up to which it is followed; and where a start far from the
+right size does nothing to the output, so that it is as near as the pair."""
+FAR_FROM_ALONE = {"time_proportioning": NEAR, "rate_limit": CLOSER}
+"""Effects of the output that keep the process alone far from what it is, and that ratio for each."""
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
@@ -96,8 +99,11 @@ def with_slow_or_switched_output(context: FitContext, base: Base, effects: Seque
         *_shapes(context.dataset),
         *(o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure),
     ]
-    of_names = [[e for e in effects if e.name == name] for name in FAR_FROM_ALONE]
-    return [c for of in of_names if of for c in _closest(context, _beside_each(context, pair, of, shapes), pair)]
+    found = []
+    for name, most in FAR_FROM_ALONE.items():
+        of_name = [e for e in effects if e.name == name]
+        found += _closest(context, _beside_each(context, pair, of_name, shapes, most=most), pair)
+    return found
 
 
 def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -129,7 +135,7 @@ def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[
         return []
     found = []
     if wave is not None:
-        lines = within(context.dataset.budget, _large_waves(context.dataset))
+        lines = within(context.dataset.budget, _waves_that_disturb(context.dataset))
         beside = [c for f in lines for c in _curves_beside(context, pair, curves, wave, [math.log(f)])]
         found += [refined(context, c) for c in closest_first(beside)[:1]]
     if free is not None and context.dataset.controller is not None:
@@ -152,6 +158,12 @@ def _curves_beside(
     return list(closest.values())
 
 
+def _waves_that_disturb(dataset: Dataset) -> list[float]:
+    """Return the large waves of the PV but for those that the output brings: in a loop, it answers to any."""
+    lines, output = _large_waves(dataset), dataset.data.held.at(dataset.data.t)
+    return lines if dataset.in_loop else [f for f in lines if share_of_wave(dataset, output, f) < WAVE]
+
+
 def _large_waves(dataset: Dataset) -> list[float]:
     """Return the lines of the PV that have a large share of its variance, in periods per record."""
     pv = dataset.data.pv
@@ -164,10 +176,12 @@ def _beside_each(
     effects: Sequence[Effect],
     shapes: Sequence[FloatArray],
     numbers: Sequence[float] = (),
+    most: float = NEAR,
 ) -> list[Fitted]:
     """Return the closest starts of effects beside pairs of lags, fitted on few samples.
 
-    `numbers` are those of an effect that the pair has, which comes after them in the row from output to PV.
+    `numbers` are those of an effect that the pair has, which comes after them in the row from output to PV; `most` is
+    the misfit of a start over that of the pair up to which it is followed.
     """
     tried = [
         fit(replace(pair.problem.with_effect(e), rows=context.screen), np.concatenate((shape, start, numbers)), 0)
@@ -177,6 +191,7 @@ def _beside_each(
     return [
         fit(replace(c.problem, rows=context.coarse), c.theta, COARSE_STEPS, ENOUGH_FOR_RANKS)
         for c in closest_first(tried)[:FOLLOWED]
+        if c.rms < most * pair.rms
     ]
 
 

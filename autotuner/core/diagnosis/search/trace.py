@@ -90,7 +90,7 @@ if TYPE_CHECKING:
 
 MOST_EFFECTS = 3
 """Most effects of one explanation: with more free effects the search could explain any record."""
-EXCHANGED = 3
+EXCHANGED = 2
 """Pairs whose effects are searched again, each beside the other, and tried in other forms."""
 COLOURED = 2.0
 """Samples per independent one from which a residual as small as the noise may hide a further effect."""
@@ -297,16 +297,18 @@ def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[E
 def _with_each_searched_again(
     context: FitContext, chosen: Fitted, effects: Sequence[Effect]
 ) -> tuple[Fitted, list[Fitted]]:
-    """Return several effects, each the best one of all beside the others, and all that was tried.
+    """Return several effects, each the best one beside the others, and all that was tried.
 
-    Where a search begins decides which of several effects it finds beside another one.
+    Where a search begins decides which of several effects it finds beside another one. Where they leave more than
+    noise, they were exchanged before: then, only others at the same place are tried.
     """
     tried: list[Fitted] = []
     if not has_several(context, chosen):
         return chosen, tried
+    is_left = chosen.rms >= NOTHING_LEFT * noise_of(context, chosen)
     for effect in chosen.problem.effects:
         kept = [e for e in chosen.problem.effects if e is not effect]
-        others = [e for e in effects if e.name not in chosen.names]
+        others = [e for e in effects if e.name not in chosen.names and (not is_left or e.place is effect.place)]
         if effect.reads_as is None and others and not context.dataset.budget.spent:
             tried += extend(context, [alone_beside(context, chosen, *kept)], others)
     near = [c for c in tried if context.criterion(c, 1.0) < context.criterion(chosen, 1.0)]
