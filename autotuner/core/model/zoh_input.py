@@ -144,6 +144,11 @@ def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatAr
     return _swept(band, g, steps * size)
 
 
+def recurrence(c: FloatArray, g: FloatArray) -> FloatArray:
+    """Return `x_k = g_k - sum_j c_j x_{k-j}` for `j` from 1 on, `x` 0 before; `c_0` does not count."""
+    return _swept(np.asfortranarray(np.tile(c[:, None], g.size)), g, g.size)
+
+
 def _swept(band: FloatArray, g: FloatArray, length: int) -> FloatArray:
     """Return the solutions of a lower triangular band system for each `length` of right sides, in their shape."""
     x: FloatArray = scipy.linalg.lapack.dtbtrs(band, g.reshape(-1, length).T, uplo="L", diag="U")[0]

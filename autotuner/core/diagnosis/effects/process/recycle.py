@@ -23,10 +23,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.zoh_input import recurrence
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -79,15 +79,24 @@ def _returning(view: View, share: float, after_s: float, in_tank: float = 0.0) -
     late = (1.0 - in_tank) * after_s / h
     n = int(late)
     back = np.concatenate((np.zeros(n), np.convolve(b, share * np.array([1.0 - late + n, late - n]))))
-    size = max(back.size, a.size)
-    back, ahead = np.pad(back, (0, size - back.size)), np.pad(a, (0, size - a.size))
-    returned = scipy.signal.lfilter(back, ahead - back, straight)
+    ahead = np.pad(a, (0, max(back.size - a.size, 0)))
+    ahead[: back.size] -= back
+    returned = recurrence(ahead, np.convolve(back, straight)[: grid.size])
     result: FloatArray = view.forced(view.input) + np.interp(view.t, grid, returned)
     return result
 
 
 def _of_lines(motion: Lag | Pair, h: float) -> tuple[FloatArray, FloatArray]:
-    """Return the recursion of the process for an input that is a line between points `h` apart."""
-    low = np.array([motion.T, 1.0] if isinstance(motion, Lag) else [motion.m, motion.n, 1.0])
-    b, a, _ = scipy.signal.cont2discrete((np.ones(1), low), h, method="foh")
-    return b.ravel(), a
+    """Return the recursion of the process for an input that is a line between points `h` apart.
+
+    Where the input rises by `s` a second, the process settles at `u - n s`, and what is off moves freely.
+    """
+    if isinstance(motion, Lag):
+        p, rise = math.exp(-h / motion.T), motion.T / h
+        return np.array([1.0 - rise * (1.0 - p), rise * (1.0 - p) - p]), np.array([1.0, -p])
+    p00, p01, p10, p11 = (float(entry[0]) for entry in motion.transition(np.array([h])))
+    rise = motion.n / h
+    later = np.array([1.0 - rise + p00 * rise - p01 / h, (1.0 - p11) / h + p10 * rise])
+    first = np.array([-p00, -p10]) - later + np.array([1.0, 0.0])
+    b = [later[0], first[0] - p11 * later[0] + p01 * later[1], p01 * first[1] - p11 * first[0]]
+    return np.array(b), np.array([1.0, -(p00 + p11), p00 * p11 - p01 * p10])
