@@ -90,8 +90,8 @@ if TYPE_CHECKING:
 
 MOST_EFFECTS = 3
 """Most effects of one explanation: with more free effects the search could explain any record."""
-EXCHANGED, IN_OTHER_FORMS = 3, 2
-"""Pairs whose effects are searched again, each beside the other, and pairs that are tried in other forms."""
+EXCHANGED = 3
+"""Pairs whose effects are searched again, each beside the other, and tried in other forms."""
 COLOURED = 2.0
 """Samples per independent one from which a residual as small as the noise may hide a further effect."""
 KNOWN = 6
@@ -328,7 +328,7 @@ def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Seque
     A form whose size is far from each start looks no better than none beside another effect, and is passed over. A
     measured disturbance is known, and stays.
     """
-    pairs = [c for c in _to_improve(context, found) if not is_beside_free_load(c)][:IN_OTHER_FORMS]
+    pairs = [c for c in _to_improve(context, found) if not is_beside_free_load(c)][:EXCHANGED]
     exchanges = [
         (alone_beside(context, c, kept), forms)
         for c in pairs
