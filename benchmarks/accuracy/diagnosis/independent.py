@@ -267,6 +267,7 @@ def is_alone_but_for_its_own(row: Row) -> bool:
 
 
 def is_its_own(name: str, row: Row) -> bool:
+    """Return whether a name is true of the record though nobody hid it."""
     own = {"extra_lag": row["plant"] == "third", "not_settled": "output_quantisation" in row["name"]}
     return own.get(name, False)
 

@@ -1,15 +1,19 @@
-"""Search for dynamics that the process alone replaces by dead time; it starts with less dead time.
+"""Searches with a process of their own, because the process alone lies far from the one beside an effect.
 
 A right half-plane zero, or a further lag, delays a response. The process alone absorbs the delay as dead time, and from
 there no descent direction exists: with all of the delay in the dead time, a small zero changes nothing. The search
 therefore starts with a part of the dead time too. The opposite holds for a dead time that varies: the process alone may
 come closest without any, and from there a variation of it changes nothing, so that the search starts with more.
+
+A large wave, a switched output, a limited rate and a limit of the actuator in a loop keep the process alone anywhere.
+These are searched beside processes all over what a record can show; a limit also beside a disturbance.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -18,10 +22,17 @@ import numpy as np
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
-from autotuner.core.diagnosis.search.search import COARSE_STEPS, alone_beside, extend, refined, within
+from autotuner.core.diagnosis.search.search import (
+    COARSE_STEPS,
+    alone_beside,
+    disturbances_of,
+    extend,
+    free_load_of,
+    refined,
+    within,
+)
 from autotuner.core.model.structures import SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -48,8 +59,6 @@ FOLLOWED = 8
 """Starts beside pairs of lags from which a fit begins."""
 CURVE = "curve"
 """Group of the effects that give each level of the output a position."""
-OF_DISTURBANCES = (Place.DISTURBANCE, Place.SENSOR)
-"""Places of effects that are tried beside a curve in place of a free load."""
 NEAR, CLOSER = 1.3, 0.97
 """Misfit of a start over that of the pair of lags alone up to which it is followed; and where a start far from the
 right size does nothing to the output, so that it is as near as the pair."""
@@ -74,7 +83,7 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
 
     Alone, the process rings in place of a large wave, or waits for half of its period, and does not come back from it.
     """
-    wave = next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
+    wave = _sine_of(effects)
     pair = _free_pair(base.origins)
     dataset = context.dataset
     if wave is None or pair is None or dataset.tuned or pair.problem.effects:
@@ -129,8 +138,7 @@ def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[
     takes the place of.
     """
     pair, curves = _free_pair(base.origins), [e for e in effects if e.group == CURVE]
-    free = next((e for e in effects if e.reads_as is not None), None)
-    wave = next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
+    free, wave = free_load_of(effects), _sine_of(effects)
     if context.dataset.tuned or pair is None or pair.problem.effects or not curves:
         return []
     found = []
@@ -139,9 +147,8 @@ def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[
         beside = [c for f in lines for c in _curves_beside(context, pair, curves, wave, [math.log(f)])]
         found += [refined(context, c) for c in closest_first(beside)[:1]]
     if free is not None and context.dataset.controller is not None:
-        loads = [e for e in effects if e.place in OF_DISTURBANCES and not e.measured]
         alone = [alone_beside(context, c, *c.problem.effects[:1]) for c in _curves_beside(context, pair, curves, free)]
-        found += extend(context, alone, loads) if alone else []
+        found += extend(context, alone, disturbances_of(effects)) if alone else []
     return [c for c in found if is_physical(c)]
 
 
@@ -158,16 +165,21 @@ def _curves_beside(
     return list(closest.values())
 
 
-def _waves_that_disturb(dataset: Dataset) -> list[float]:
+def _waves_that_disturb(dataset: Dataset) -> Sequence[float]:
     """Return the large waves of the PV but for those that the output brings: in a loop, it answers to any."""
     lines, output = _large_waves(dataset), dataset.data.held.at(dataset.data.t)
     return lines if dataset.in_loop else [f for f in lines if share_of_wave(dataset, output, f) < WAVE]
 
 
-def _large_waves(dataset: Dataset) -> list[float]:
+@lru_cache(maxsize=8)
+def _large_waves(dataset: Dataset) -> tuple[float, ...]:
     """Return the lines of the PV that have a large share of its variance, in periods per record."""
     pv = dataset.data.pv
-    return [f for f in spectral_lines(dataset, pv)[:STRONGEST] if share_of_wave(dataset, pv, f) > WAVE]
+    return tuple(f for f in spectral_lines(dataset, pv)[:STRONGEST] if share_of_wave(dataset, pv, f) > WAVE)
+
+
+def _sine_of(effects: Sequence[Effect]) -> Effect | None:
+    return next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
 
 
 def _beside_each(

@@ -32,7 +32,6 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
 from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.effects.waves import lines_of_all, wave_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import (
     Extended,
     Fitted,
@@ -47,7 +46,9 @@ from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import (
     alone_beside,
     best_on_both_parts,
+    disturbances_of,
     extend,
+    free_load_of,
     refined,
     with_second_lag,
     within,
@@ -84,8 +85,6 @@ NEARER = 0.9
 """Error over that of the process alone up to which bands are followed."""
 WAVE_STEPS = 5
 """Most steps of the optimiser from each period of a wave."""
-OF_DISTURBANCES = (Place.DISTURBANCE, Place.SENSOR)
-"""Places of effects that are tried beside bands in place of a free load."""
 AXIS_LAGS, FAR, HALF = (5.0, 30.0), 3.0, 0.6
 """Lags of an axis to start from, in sample intervals; error over noise from which friction on the process is tried;
 error after over before, on both parts, under which it is an explanation."""
@@ -107,13 +106,12 @@ def with_friction_beside_a_load(context: FitContext, base: Base, effects: Sequen
     A load is also why the integral action moves the output on. Without it, a slow process follows the load instead, and
     no band predicts the slip.
     """
-    free = next((e for e in effects if e.reads_as is not None), None)
+    free = free_load_of(effects)
     if free is None or not _may_stick(context):
         return []
     found = _with_bands(context, base, free)
     alone = [alone_beside(context, f, f.problem.effects[0]) for f in found]
-    loads = [e for e in effects if e.place in OF_DISTURBANCES and not e.measured]
-    return extend(context, alone, loads) if alone else []
+    return extend(context, alone, disturbances_of(effects)) if alone else []
 
 
 def _may_stick(context: FitContext) -> bool:

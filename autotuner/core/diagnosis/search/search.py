@@ -25,7 +25,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
     plainness,
     without_rounding,
 )
-from autotuner.core.diagnosis.search.judge import is_beside_free_load
+from autotuner.core.diagnosis.search.judge import OF_TIME, is_beside_free_load
 from autotuner.core.diagnosis.search.screen import screened, tangent_of
 
 if TYPE_CHECKING:
@@ -175,6 +175,16 @@ def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> lis
 def with_second_lag(theta: FloatArray) -> FloatArray:
     """Return the numbers of a process of one lag, with effects, as a start for one of two."""
     return np.insert(theta, 1, theta[0] + math.log(SECOND_LAG))
+
+
+def free_load_of(effects: Sequence[Effect]) -> Effect | None:
+    """Return the first load of free shape among effects; None without one."""
+    return next((e for e in effects if e.reads_as is not None), None)
+
+
+def disturbances_of(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects that are functions of time, but for measured ones."""
+    return [e for e in effects if e.place in OF_TIME and not e.measured]
 
 
 def has_several(context: FitContext, candidate: Fitted) -> bool:

@@ -426,7 +426,7 @@ def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: 
 
 
 def _holds_later(context: FitContext, candidate: Fitted) -> bool:
-    """Return whether an explanation predicts the other part, or errs there by no more than its numbers may be off."""
+    """Return whether an explanation holds on the other part; a load of free shape alone predicts nothing there."""
     if context.dataset.tuned:
         return True
     return is_near_later(context, candidate) and not is_free_load(context, candidate)
