@@ -42,6 +42,13 @@ def test_a_command_that_falls_below_the_carrier_ends_the_pulse_at_once():
     assert seen.at(np.array([2.9, 3.1, 11.9, 12.1])) == pytest.approx([60.0, -40.0, 60.0, -40.0])
 
 
+def test_a_command_that_rises_above_the_carrier_begins_another_pulse():
+    held = HeldInput(np.array([0.0, 6.0]), np.array([0.0, 40.0]))  # 40 %, and 80 % from 6 s on, as the carrier is at 60
+    seen = pulses(held, 40.0, 100.0, 10.0, 0.0, 30.0, latched=False)
+    at_s = np.array([3.9, 4.1, 5.9, 6.1, 7.9, 8.1, 9.9, 10.1, 17.9, 18.1])
+    assert seen.at(at_s) == pytest.approx([60.0, -40.0, -40.0, 60.0, 60.0, -40.0, -40.0, 60.0, 60.0, -40.0])
+
+
 @pytest.mark.parametrize("period_s", [3.0, 8.0, 23.0])
 def test_pulses_are_those_of_the_simulator(period_s):
     """Its position is the mean over a step of 0.05 s; the first period begins at rest, with the record."""

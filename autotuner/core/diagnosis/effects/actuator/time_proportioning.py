@@ -108,12 +108,11 @@ def pulses(
     looks = begins if latched else np.union1d(begins, held.times[held.times > begins[0]])
     turn = np.searchsorted(begins, looks, side="right") - 1
     reached = begins[turn] + np.clip((held.at(looks) + output0) / full, 0.0, 1.0) * period_s
-    over = np.maximum(reached, looks)
-    ends = begins + period_s
-    lasts = np.append(looks[1:], ends[-1])
-    np.minimum.at(ends, turn, np.where(over < lasts, over, np.inf))
-    times = np.column_stack((begins, ends)).ravel()
-    levels = np.tile((full - output0, -output0), begins.size)
+    lasts = np.append(looks[1:], begins[-1] + period_s)
+    times = np.column_stack((looks, np.clip(reached, looks, lasts))).ravel()
+    levels = np.tile((full - output0, -output0), looks.size)
     lasting = np.append(np.diff(times) > 0.0, [True])
+    times, levels = times[lasting], levels[lasting]
+    changed = np.append([True], np.diff(levels) != 0.0)
     start = times[0] - period_s
-    return HeldInput(np.append(start, times[lasting]), np.append(0.0, levels[lasting]))
+    return HeldInput(np.append(start, times[changed]), np.append(0.0, levels[changed]))
