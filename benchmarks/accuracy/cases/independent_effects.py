@@ -133,11 +133,14 @@ class Hold:
     def __init__(self, times: np.ndarray) -> None:
         self.times, self.next, self.at = times, 0, REST
 
-    def move(self, u: float, t: float, _h: float) -> float:
-        while self.next < len(self.times) and t >= self.times[self.next] - 1e-9:
+    def move(self, u: float, t: float, h: float) -> float:
+        """Return the mean of a step: an update may lie within it."""
+        mean = self.at
+        while self.next < len(self.times) and self.times[self.next] < t + h - 1e-9:
+            mean += (u - self.at) * min((t + h - self.times[self.next]) / h, 1.0)
             self.at = u
             self.next += 1
-        return self.at
+        return mean
 
 
 class Switch:

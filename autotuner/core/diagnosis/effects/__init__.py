@@ -65,7 +65,7 @@ def catalogue(
         *dynamics,
         *disturbance_effects(dataset, residuals, [*jump_moments(base), *(at_s for at_s, _ in dataset.visible_jumps)]),
         *(() if waiting.sticks else (slow_wave(dataset),)),
-        sensor_hysteresis(dataset),
+        *sensor_hysteresis(dataset),
         *free_forms(dataset),
         *(effect for plugin in installed_effects().values() for effect in plugin.make(dataset, base)),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product, takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,13 +18,16 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_eve
 from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
-from autotuner.core.diagnosis.search.acceptance import is_accepted
+from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import extend, with_second_lag, within
+from autotuner.core.diagnosis.search.search import best_on_both_parts, extend, refined, with_second_lag, within
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
 
@@ -34,6 +38,15 @@ LATE = 1.5
 """Smallest spread of the delays, in samples."""
 TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
 """Delays of a move that are tried, relative to the longest, and the most steps of the optimiser after it."""
+HELD = 5
+"""Closest explanations among which updates at even times are looked at again."""
+PARTS = (1.0, 1.5, 0.5, 1.0 / 3.0, 2.0)
+"""Other periods, over the one that was found: moves at updates of one may fall on those of another."""
+GRIDS = ((PARTS, 0.04, 25, 8), (PARTS[:1], 0.02, 12, 32), (PARTS[:1], 0.01, 6, 64))
+"""What is tried, ever finer: periods over the one found; steps, in shares of a period over the whole record, and how
+many of them to either side; and phases. With many moves, one is near the next update for each small step."""
+AS_NEAR = 1.1
+"""Ratio of the misfits up to which another grid is as near: noise of 100 samples makes as much."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 
@@ -91,6 +104,50 @@ def _on_a_grid(context: FitContext, timed: Fitted) -> list[Fitted]:
     head = timed.theta[: len(timed.problem.structure.shape) + 1]
     origin = fit(replace(timed.problem, effects=(), rows=context.coarse), head, 0)
     return extend(context, [origin], [updated_every(context.dataset, grids)]) if grids else []
+
+
+def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
+    """Return the closest explanation by even updates with other periods and phases, where it leaves more than noise.
+
+    A move that reaches another update is a jump of the misfit, beyond which no slope leads. Several grids may explain
+    the fitted part as well, until a move of the other part shows which of them it is.
+    """
+    held = next((c for c in found[:HELD] if any(map(_is_even, c.problem.effects))), None)
+    if held is None or is_noise(context, held) or context.dataset.budget.spent:
+        return []
+    grids: list[Fitted] = []
+    for grid in GRIDS:
+        tried = closest_first(_on_grids(context, held, *grid))
+        as_near = [c for c in tried if c.rms < AS_NEAR * tried[0].rms]
+        chosen = {id(c): c for c in (tried[0], best_on_both_parts(context, as_near)[0])}
+        fitted = closest_first(refined(context, c) for c in chosen.values())
+        grids, held = [*grids, *fitted], fitted[0]
+        if is_noise(context, held):
+            break
+    return [c for c in grids if is_physical(c)]
+
+
+def _on_grids(
+    context: FitContext, held: Fitted, parts: Sequence[float], step: float, each_way: int, phases: int
+) -> list[Fitted]:
+    """Return an explanation by even updates with periods about parts of its own, and all moves as late in the mean."""
+    problem, dead_time = replace(held.problem, rows=context.screen), len(held.problem.structure.shape)
+    before = takewhile(lambda e: not _is_even(e), problem.effects)
+    at = dead_time + 1 + sum(len(e.searched) for e in before)
+    period, phase = math.exp(held.theta[at]), float(held.theta[at + 1])
+    tried = []
+    for part, k, turn in product(parts, range(-each_way, each_way + 1), range(phases)):
+        other = period * part * (1.0 + step * k * period * part / context.dataset.span_s)
+        later = turn / phases - 0.5
+        theta = held.theta.copy()
+        theta[at : at + 2] = math.log(other), (phase * period / other + later) % 1.0
+        theta[dead_time] += ((period - other) / 2.0 - later * other) / problem.unit_s
+        tried.append(theta)
+    return [fit(problem, theta, 0) for theta in tried if theta[dead_time] >= 0.0]
+
+
+def _is_even(effect: Effect) -> bool:
+    return effect.name == "actuator_hold" and not effect.form
 
 
 def _spread_of_times(timed: Fitted) -> float:

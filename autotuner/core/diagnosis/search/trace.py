@@ -46,7 +46,7 @@ from autotuner.core.diagnosis.search.judge import (
     is_beside_free_load,
     noise_of,
 )
-from autotuner.core.diagnosis.search.late_moves import late_instead, with_uneven_updates
+from autotuner.core.diagnosis.search.late_moves import late_instead, with_other_grids, with_uneven_updates
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import (
@@ -158,6 +158,7 @@ def trace(
         found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
         if not found:
             break
+        found = closest_first([*found, *with_other_grids(context, found)])
         found = closest_first([*found, *_exchanged(context, found, effects)])
         found = closest_first([*found, *_in_other_forms(context, found, effects)])
         pool += found

@@ -197,20 +197,26 @@ def backlash(held: HeldInput, width: float, seat: float = 0.0, tilt: float = 0.0
     return HeldInput(held.times, np.array(positions))
 
 
-def played(levels: FloatArray, width: float, start: float) -> FloatArray:
+def played(levels: FloatArray, width: float, start: float, kept: FloatArray | None = None) -> FloatArray:
     """Return the position behind a play at each of some levels of a command, shape (N,).
 
     Each level moves the position into a range about itself, and two such moves are a move into a range again:
     `[min(max(a, c), d), min(max(b, c), d)]` for `[a, b]` and then `[c, d]`. All levels up to each one are put together
-    in `log2 N` rounds (Hillis and Steele, Commun. ACM 29, 1986).
+    in `log2 N` rounds (Hillis and Steele, Commun. ACM 29, 1986). With `kept`, the share of its distance from each level
+    that the position keeps within the play, such a move is `min(max(gain x + offset, low), high)`.
     """
     low, high, reach = levels - width / 2.0, levels + width / 2.0, 1
+    gain = np.ones(levels.size) if kept is None else kept
+    offset = (1.0 - gain) * levels
     while reach < levels.size:
-        least, most = low[reach:], high[reach:]
-        ends = [np.minimum(np.maximum(end[:-reach], least), most) for end in (low, high)]
+        least, most, by, to = low[reach:], high[reach:], gain[reach:], offset[reach:]
+        ends = [np.minimum(np.maximum(by * end[:-reach] + to, least), most) for end in (low, high)]
         low, high = (np.concatenate((end[:reach], after)) for end, after in zip((low, high), ends, strict=True))
+        if kept is not None:
+            offset = np.concatenate((offset[:reach], by * offset[:-reach] + to))
+            gain = np.concatenate((gain[:reach], by * gain[:-reach]))
         reach *= 2
-    result: FloatArray = np.minimum(np.maximum(start, low), high)
+    result: FloatArray = np.minimum(np.maximum(gain * start + offset, low), high)
     return result
 
 
