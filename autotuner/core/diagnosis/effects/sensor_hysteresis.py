@@ -34,7 +34,7 @@ NARROWEST, WIDEST = 0.005, 0.8
 WIDTHS, AHEAD = (0.03, 0.08, 0.2, 0.4), (0.0, 0.5, 1.0)
 """Widths, and shares of them ahead of the first motion upwards, to begin from."""
 QUICKEST, SLOWEST, CREEPS = 0.002, 0.5, (0.02, 0.1)
-"""Time constant of a creep, in records: quicker, nothing stands still; slower, nothing creeps; and two to begin from."""
+"""Time constant of a creep, in records: quicker, nothing rests; slower, nothing creeps; and two to begin from."""
 
 
 def sensor_hysteresis(dataset: Dataset) -> tuple[Effect, Effect]:
