@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from autotuner.core.diagnosis.effects.actuator.friction import backlash, slipped, stiction, turned, turns_of
-from autotuner.core.diagnosis.effects.actuator.saturation import clipped, rounded
+from autotuner.core.diagnosis.effects.actuator.saturation import rounded, saturations
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import rate_limited, taken_over
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.disturbance import behind_a_lag
@@ -85,7 +85,18 @@ def recording(output, pv, step_s=1.0):
 def test_limits_are_shares_of_the_swing():
     rng = np.random.default_rng(1)
     dataset = dataset_of(recording([0.0] * 20 + [10.0] * 20 + [0.0] * 20, rng.normal(size=60)))
-    assert clipped(dataset.data.held, (0.0, 0.25), dataset).levels.tolist() == [0.0, 7.5, 0.0]
+    both = next(effect for effect in saturations(dataset) if effect.form == "both")
+    assert both.position(dataset.data.held, (0.0, 0.25), dataset).levels.tolist() == [0.0, 7.5, 0.0]
+
+
+def test_limits_stay_where_they_are_though_the_output_goes_further_later():
+    rng = np.random.default_rng(1)
+    early, whole = [0.0] * 20 + [10.0] * 20 + [0.0] * 20, [0.0] * 20 + [10.0] * 20 + [-5.0, 30.0] * 10
+    dataset, longer = (dataset_of(recording(output, rng.normal(size=60))) for output in (early, whole))
+    for effect in saturations(dataset):
+        start = effect.starts[-1]
+        known, further = (effect.position(d.data.held, start, d) for d in (dataset, longer))
+        assert further.at(np.array([30.0])) == pytest.approx(known.at(np.array([30.0]))), effect.form
 
 
 def test_stores_that_do_not_overflow_are_two_lags():

@@ -126,7 +126,8 @@ def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     """Return the explanation with the plain form of an effect where the further numbers of its form say nothing."""
     for rich in [e for e in chosen.problem.effects if e.form]:
         known = dict(zip([s.name for s in rich.searched], _values_of(chosen, rich), strict=True))
-        plain = next((e for e in effects if e.name == rich.name and not e.form), None)
+        plains = {"", rich.form.partition(",")[0]} - {rich.form}  # a soft limit is a hard one with a width, too
+        plain = next((e for e in effects if e.name == rich.name and e.form in plains), None)
         if plain is not None and all(s.name in known for s in plain.searched):
             values = [known[s.name] for s in plain.searched]
             # One lag may be enough only beside the plain form: the rich one has taken up what the second one left.

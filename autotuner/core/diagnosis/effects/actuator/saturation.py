@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,10 @@ def saturations(dataset: Dataset) -> tuple[Effect, ...]:
         _limits(dataset, "high", _of(("high",), 0.9), one),
         _limits(dataset, "low", _of(("low",), 0.9), one),
         _limits(dataset, "both", _of(SIDES, 0.6), two),
+        *(
+            _limits(dataset, f"{side}, soft", (*_of((side,), 0.9), width), [(*s, 2 * CORNER) for s in one])
+            for side in SIDES
+        ),
         _limits(dataset, "soft", (*_of(SIDES, 0.6), width), soft),
     )
 
@@ -52,34 +57,26 @@ def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> He
     return HeldInput(held.times, levels - levels[..., :1])
 
 
-def _ends(dataset: Dataset, low: float, high: float) -> tuple[float, float]:
-    """Return the limits that lie by shares of the swing inside of the output's range."""
-    levels = dataset.data.held.levels
-    return float(levels.min()) + low * dataset.swing, float(levels.max()) - high * dataset.swing
-
-
-def clipped(held: HeldInput, p: Sequence[float], dataset: Dataset) -> HeldInput:
-    """Return an input between limits; `p` shares below and above."""
-    low, high = _ends(dataset, p[0], p[1])
-    return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
-
-
 def _limits(dataset: Dataset, form: str, searched: tuple[Searched, ...], starts: Sequence[tuple[float, ...]]) -> Effect:
-    names = [one.name for one in searched]
+    """Return limits that stay where they are in another part of the record, whatever the output does there."""
+    names, swing = [one.name for one in searched], dataset.swing
+    levels = dataset.data.held.levels
+    lowest, highest = float(levels.min()), float(levels.max())
 
-    def shares(p: Sequence[float]) -> tuple[float, float]:
+    def ends(p: Sequence[float]) -> dict[str, float]:
         known = dict(zip(names, p, strict=True))
-        return known.get("low", 0.0), known.get("high", 0.0)
+        within = {"low": lowest + known.get("low", 0.0) * swing, "high": highest - known.get("high", 0.0) * swing}
+        return {side: end for side, end in within.items() if side in names}
 
-    def position(held: HeldInput, p: Sequence[float], dataset: Dataset) -> HeldInput:
-        if "width" not in names:
-            return clipped(held, shares(p), dataset)
-        low, high = _ends(dataset, *shares(p))
-        return map_levels(held, lambda u: rounded(u, low, high, p[-1] * dataset.swing))
+    def position(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
+        limits = ends(p)
+        low, high = limits.get("low", -math.inf), limits.get("high", math.inf)
+        if "width" in names:
+            return map_levels(held, lambda u: rounded(u, low, high, p[-1] * swing))
+        return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        both = zip(SIDES, _ends(dataset, *shares(p)), strict=True)
-        return {side: dataset.output0 + end for side, end in both if side in names}
+        return {side: dataset.output0 + end for side, end in ends(p).items()}
 
     return Effect(
         "saturation",
@@ -95,7 +92,7 @@ def _limits(dataset: Dataset, form: str, searched: tuple[Searched, ...], starts:
 
 
 def rounded(u: FloatArray, low: float, high: float, width: float) -> FloatArray:
-    """Return a limiter whose corners are rounded over `width`."""
-    up = low + width * np.logaddexp(0.0, (u - low) / width)
-    result: FloatArray = high - width * np.logaddexp(0.0, (high - up) / width)
+    """Return a limiter whose corners are rounded over `width`; infinite where it has no limit on a side."""
+    up = low + width * np.logaddexp(0.0, (u - low) / width) if math.isfinite(low) else u
+    result: FloatArray = high - width * np.logaddexp(0.0, (high - up) / width) if math.isfinite(high) else up
     return result
