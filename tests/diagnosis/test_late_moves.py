@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autotuner import diagnose
 from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, uneven_updates
 from autotuner.core.diagnosis.extended.extended_model import Extended, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
@@ -16,6 +17,7 @@ from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.uneven_sampling import jittered_moves
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.recording import Recording
+from benchmarks.accuracy.diagnosis.independent import Case, record_of
 
 T, K, DELAY = 12.0, 2.0, 3.0
 MOVES_S = np.arange(20.0, 520.0, 25.0)
@@ -115,3 +117,17 @@ def test_moves_that_are_late_by_more_than_samples_can_be_are_no_jitter():
 def test_late_moves_alone_are_no_jitter():
     context, timed = with_times(record(np.random.default_rng(7).uniform(0.0, 0.9, MOVES_S.size), 0.0, 0.02))
     assert jittered_moves(context, timed) is None
+
+
+@pytest.mark.parametrize(("seed", "experiment"), [(770, "random"), pytest.param(763, "relay", marks=pytest.mark.long)])
+@pytest.mark.usefixtures("without_gains")
+def test_of_grids_that_fit_alike_the_one_is_taken_that_predicts_the_moves_after(seed, experiment):
+    """Truths are the independent generator's: by which update a move is taken over decides a whole answer."""
+    made = record_of(Case("actuator_hold:even", seed, experiment))
+    found = diagnose(Recording.from_csv_text(made.csv()))
+    (effect,) = found.effects
+    assert (found.verdict, effect.name) == ("explained", "actuator_hold")
+    assert effect.parameters["period_s"] == pytest.approx(made.hidden.sizes["period_s"], rel=5e-4)
+    traces = found.traces
+    late = traces.t > traces.held_out_from_s
+    assert np.std((traces.pv - traces.after)[late]) < 1.25 * made.sigma
