@@ -85,6 +85,25 @@ def test_a_coarse_sensor_in_a_loop_is_not_taken_for_swapped_columns(Kp, Ti):
     require_not_swapped(Recording(np.arange(500.0), 40.0 + np.array(output), 60.0 + np.array(pv)))
 
 
+def test_a_pv_of_few_values_near_its_set_point_is_one():
+    """Steps of 2.5 between 60 and 67.5; the same columns without their set point could be either."""
+    rng = np.random.default_rng(2)
+    set_point, y, integral, output, pv = np.repeat([60.0, 67.5, 60.0, 67.5], 100), 60.0, 0.0, [], []
+    for wanted in set_point.tolist():
+        pv.append(2.5 * round((y + rng.normal(0.0, 0.3)) / 2.5))
+        integral += 0.3 * (wanted - pv[-1]) / 10.0
+        output.append(40.0 + 0.3 * (wanted - pv[-1]) + integral + rng.normal(0.0, 0.05))
+        y += -np.expm1(-0.05) * (60.0 + 1.5 * (output[-1] - 40.0) - y)
+    columns = np.arange(400.0), np.array(output), np.array(pv)
+    assert np.unique(pv).size <= 4
+    with pytest.raises(RecordingError, match="other way round"):
+        diagnose(Recording(*columns))
+    found = diagnose(Recording(*columns, set_point=set_point))
+    assert found.process is not None
+    with pytest.raises(RecordingError, match=r"other way round|swapped"):
+        diagnose(Recording(columns[0], columns[2], columns[1], set_point=set_point))
+
+
 def test_a_gap_is_left_out_with_a_note():
     t, output, pv = closed_form(900)
     kept = (t < 300.0) | (t > 350.0)

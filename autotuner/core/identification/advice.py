@@ -10,7 +10,7 @@ import numpy as np
 from autotuner.core.estimation.drift import output_before
 from autotuner.core.identification.result import most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.notes import SMALL_MISFIT, Doubt, Note
-from autotuner.core.signals.feedback import moves_all_the_time
+from autotuner.core.signals.feedback import is_kept_at_set_point, moves_all_the_time
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
 
@@ -65,7 +65,7 @@ def unusable(recording: Recording) -> Verdict | None:
             "Check the sensor and its resolution, or move the output by more.",
         )
     values = np.unique(recording.pv).size
-    if values <= FEW_VALUES and moves_all_the_time(recording):
+    if values <= FEW_VALUES and moves_all_the_time(recording) and not is_kept_at_set_point(recording):
         return refused(
             "columns_swapped",
             f"the PV has {values} values only, while the output is another one at nearly every sample",

@@ -40,6 +40,15 @@ def moves_all_the_time(recording: Recording) -> bool:
     return float(np.mean(np.diff(recording.output) != 0.0)) >= FOLLOWS
 
 
+def is_kept_at_set_point(recording: Recording) -> bool:
+    """Return whether the PV is nearer to a recorded set point than the output is: a controller keeps it there."""
+    if recording.set_point is None:
+        return False
+    known = np.isfinite(recording.set_point)
+    pv_off, output_off = (np.abs(x - recording.set_point)[known].mean() for x in (recording.pv, recording.output))
+    return bool(pv_off < output_off)
+
+
 def process_sign(recording: Recording) -> int:
     """Return the sign of the process's gain as a controller in the record shows it: 1, -1, or 0 for none."""
     if len(recording) < 5:

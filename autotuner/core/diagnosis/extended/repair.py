@@ -3,7 +3,7 @@
 gap       t_k+1 - t_k > 10 times its median, at a few places:  the longest part between gaps is used
 swapped   the PV has few levels and jumps between them, the output never repeats a value, and a lag driven by
           the PV explains the output:  refused. A PV that passes none of its levels is that of a coarse sensor in a
-          loop, whose controller follows it as a process would
+          loop, whose controller follows it as a process would; so is one that a recorded set point is near
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.identification.advice import FEW_VALUES
 from autotuner.core.recording import Recording
+from autotuner.core.signals.feedback import is_kept_at_set_point
 from autotuner.errors import RecordingError
 
 GAP, MOST_GAPS = 10.0, 5
@@ -35,7 +36,7 @@ def require_not_swapped(recording: Recording) -> None:
     RecordingError
         Output and PV are swapped.
     """
-    if _looks_swapped(recording) and _explains(recording):
+    if not is_kept_at_set_point(recording) and _looks_swapped(recording) and _explains(recording):
         raise RecordingError(
             "output and PV look swapped: the PV jumps between few levels and drives the output",
             field="recording",
