@@ -15,7 +15,7 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
     slipped,
     stiction,
 )
-from autotuner.core.diagnosis.effects.actuator.saturation import clipped, map_levels, rounded, saturations
+from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, rounded, saturations
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     actuator_effects,
@@ -179,7 +179,8 @@ def test_the_describing_function_of_a_limiter():
     """(2/pi) (asin s + s sqrt(1 - s^2)), s limit over amplitude."""
     dataset = dataset_of(record(LAG, SINE[:2001:20]))
     s = 0.6
-    found = describing(clipped(held(SINE), (0.2, 0.2), dataset).levels)  # 20 % of a swing of 20 off either end
+    both = next(effect for effect in saturations(dataset) if effect.form == "both")
+    found = describing(both.position(held(SINE), (0.2, 0.2), dataset).levels)  # 20 % of a swing of 20 off either end
     assert found == pytest.approx(2.0 / math.pi * (math.asin(s) + s * math.sqrt(1.0 - s * s)), abs=1e-3)
 
 

@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
     from autotuner.core.model.process import ProcessModel
 
-PIECES = 100
-"""Steps in which the approach to a new level is written: from 25, lags of an element are 2 % off without noise."""
+PIECES = 50
+"""Steps in which the approach to a new level is written: a response to them is 2e-4 off."""
 FAR_SLOWER = 4.0
 """Time constant of a leak over the declared lag from which a process is taken to integrate."""
 SETTLED = 10.0
@@ -40,16 +41,17 @@ def declared_effects(dataset: Dataset, model: ProcessModel) -> tuple[Effect, ...
 def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
     low, high = math.log(0.2 * dataset.data.interval_s), math.log(3.0 * dataset.span_s)
     lag = Searched("log_lag", low, high, 1e-4)
+    finest_s = dataset.data.interval_s / 2.0
     later = Searched("later", 0.0, 3.0 * slowest_s / dataset.data.interval_s, 1e-3)  # in sample intervals
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         extra = math.exp(p[0])
         when = view.t - view.delay_s - (p[1] * dataset.data.interval_s if len(p) > 1 else 0.0)
-        held = lagged(view.input, extra) if len(p) > 1 else view.input
+        held = lagged(view.input, extra, finest_s=finest_s) if len(p) > 1 else view.input
         if isinstance(view.motion, Lag):
             T = view.motion.T
             return Pair(T * extra, T + extra).forced(held, when)[0][0]
-        answer: FloatArray = view.motion.forced(lagged(held, extra), when)[0][0]
+        answer: FloatArray = view.motion.forced(lagged(held, extra, finest_s=finest_s), when)[0][0]
         return answer
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
@@ -71,22 +73,31 @@ def times_of_approach(shares: FloatArray) -> FloatArray:
     return times
 
 
-def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None) -> HeldInput:
-    """Return an input after a lag, its exponentials written as small steps about their middle."""
-    shares = (np.arange(PIECES) + 0.5) / PIECES
-    approach = times_of_approach(shares)
-    times, levels = [held.times[:1]], [np.zeros(1)]
+def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None, *, finest_s: float = 0.0) -> HeldInput:
+    """Return an input after a lag, its exponentials written as small steps, each at the mean time of its way.
+
+    A share `s` of the way takes `-ln(1 - s)` time constants; the integral of that is `(1 - s) ln(1 - s) + s`. Step `k`
+    of `m` ends at `1 - (1 - k/m)^2`: the later, the smaller, so that all are as exact. Of a hold that is shorter, steps
+    of `finest_s` are enough.
+    """
+    approaches = []  # of each: begin, position there, way, time constant, where in the row of steps it ends, its steps
     x = 0.0
     for start, end, level in held.holds():
         way = level - x
-        if way == 0.0:
+        if way == 0.0 or end <= start:
             continue
         T = rising_s if way > 0.0 or falling_s is None else falling_s
-        kept = T * approach < end - start
-        times.append(start + T * approach[kept])
-        levels.append(x + way * (shares[kept] + 0.5 / PIECES))
-        x += way * -math.expm1(-min((end - start) / T, 50.0))
-    return HeldInput(np.concatenate(times), np.concatenate(levels))
+        ends = -math.expm1((start - end) / T / 2.0)
+        most = math.ceil((end - start) / finest_s) if finest_s and math.isfinite(end) else PIECES
+        approaches.append((start, x, way, T, ends, max(min(math.ceil(PIECES * ends), most), 1)))
+        x += way * -math.expm1((start - end) / T)
+    counts = np.array([of[-1] for of in approaches], dtype=int)
+    starts, positions, ways, lags, ends_at, pieces = np.repeat(np.array(approaches).reshape(-1, 6), counts, axis=0).T
+    step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    before, after = (1.0 - (1.0 - ends_at * k / pieces) ** 2 for k in (step, step + 1))
+    from_s, to_s = (scipy.special.xlogy(1.0 - s, 1.0 - s) + s for s in (before, after))
+    times = starts + lags * (to_s - from_s) / (after - before)
+    return HeldInput(np.append(held.times[0], times), np.append(0.0, positions + ways * after))
 
 
 def _integrating() -> Effect:

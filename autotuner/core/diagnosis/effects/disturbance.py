@@ -226,7 +226,8 @@ def _measured(dataset: Dataset, name: str) -> tuple[Effect, ...]:
         return [answer, *(() if dataset.settled_first else lag.free(view.t))]
 
     def through(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [view.forced(lagged(_between(view.dataset, name), math.exp(p[0])), delayed=False)]
+        entering = lagged(_between(view.dataset, name), math.exp(p[0]), finest_s=dataset.data.interval_s / 2.0)
+        return [view.forced(entering, delayed=False)]
 
     def into(view: View, _p: Sequence[float]) -> list[FloatArray]:
         return [view.forced(_between(view.dataset, name), delayed=False)]

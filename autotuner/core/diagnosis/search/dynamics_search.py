@@ -51,6 +51,7 @@ ADDED = (0.3, 0.7)
 """Dead times to begin with where the process alone has none, in hundredths of the record (`Extended.unit_s`)."""
 STRONGEST, WAVE = 2, 0.2
 """Waves of the PV that are looked at, and the least share of its variance about a straight line to be searched for."""
+WAVE_THAT_BEGINS = "periodic_disturbance:begins"
 LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
 """Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
 QUICK_LAG = 0.1
@@ -82,18 +83,25 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     """Return a wave with a pair of lags that is searched for beside it, fitted on all samples, where closer.
 
     Alone, the process rings in place of a large wave, or waits for half of its period, and does not come back from it.
+    So is one that begins within the record.
     """
     wave = _sine_of(effects)
     pair = _free_pair(base.origins)
-    dataset = context.dataset
-    if wave is None or pair is None or dataset.tuned or pair.problem.effects:
+    dataset, lines = context.dataset, _large_waves(context.dataset)
+    if wave is None or pair is None or dataset.tuned or pair.problem.effects or not lines:
         return []
     problem = replace(pair.problem.with_effect(wave), rows=context.coarse)
     found = [
         fit(problem, np.append(shape, math.log(line)), COARSE_STEPS, ENOUGH_FOR_RANKS)
-        for line, shape in within(dataset.budget, product(_large_waves(dataset), _shapes(dataset)))
+        for line, shape in within(dataset.budget, product(lines, _shapes(dataset)))
     ]
-    return _closest(context, found, pair)
+    later = [
+        replace(e, starts=[(math.log(line), at) for line in lines for at in sorted({at for _, at in e.starts})])
+        for e in effects
+        if e.key == WAVE_THAT_BEGINS
+    ]
+    begun = _beside_each(context, pair, later, _shapes(dataset))
+    return [*_closest(context, found, pair), *_closest(context, begun, pair)]
 
 
 def with_slow_or_switched_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:

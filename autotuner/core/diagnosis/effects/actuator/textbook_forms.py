@@ -80,15 +80,20 @@ def rate_limit(dataset: Dataset, *, unequal: bool = False) -> Effect:
         apart if unequal else alike,
         lambda p, _c, _g: {f"{name}_per_s": math.exp(x) * swing for name, x in zip(names, p, strict=True)},
         form="unequal" if unequal else "",
-        position=lambda held, p, _: rate_limited(held, *(math.exp(x) * swing for x in p)),
+        position=lambda held, p, _: rate_limited(
+            held, *(math.exp(x) * swing for x in p), finest_s=dataset.data.interval_s / 2.0
+        ),
         order=2,
         price=2.0 if unequal else 0.0,
         group="timing",
     )
 
 
-def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -> HeldInput:
-    """Return a position that moves by so much a second at most, its ramps written as small steps about their middle."""
+def rate_limited(held: HeldInput, rising: float, falling: float | None = None, *, finest_s: float = 0.0) -> HeldInput:
+    """Return a position that moves by so much a second at most, its ramps written as small steps about their middle.
+
+    Of a ramp within less than a sample, two steps of `finest_s` are enough: the PV is not read in between.
+    """
     ramps = []  # of each: its begin, the position there, and duration, rise and number of its steps
     x = 0.0
     for t, end, target in held.holds():
@@ -98,7 +103,8 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None) -
         rate = rising if way > 0.0 or falling is None else falling
         lasts = abs(way) / rate
         covered = min(lasts, end - t)
-        pieces = min(max(int(PIECES * min(1.0, covered / lasts + 0.2)), 2), PIECES)
+        most = math.ceil(covered / finest_s) if finest_s else PIECES
+        pieces = max(min(int(PIECES * min(1.0, covered / lasts + 0.2)), most), 2)
         rise = math.copysign(rate, way) * covered / pieces
         ramps.append((t, x, covered / pieces, rise, pieces))
         x += rise * pieces
