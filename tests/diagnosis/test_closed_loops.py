@@ -56,6 +56,13 @@ def test_an_actuator_that_ends_before_the_output_is_found_though_the_controller_
         assert answer.effects[0].parameters["high"] == pytest.approx(sizes["high"], rel=2e-3)
 
 
+@pytest.mark.parametrize("seed", [again(768)])
+def test_a_wave_that_begins_while_the_controller_answers_is_found(seed):
+    answer, sizes = answer_to("periodic_disturbance:begins", seed)
+    assert named(answer) == ["periodic_disturbance"]
+    assert answer.effects[0].parameters["period_s"] == pytest.approx(sizes["period_s"], rel=1e-2)
+
+
 @pytest.mark.parametrize("seed", [again(759)])
 def test_a_weak_loss_is_found_though_each_start_of_the_search_is_far_stronger(seed):
     answer, _ = answer_to("nonlinear_loss:outflow", seed)
