@@ -7,7 +7,7 @@ import pytest
 import scipy
 
 from autotuner.core.diagnosis.effects.actuator.friction import backlash, slipped, stiction, turned, turns_of
-from autotuner.core.diagnosis.effects.actuator.saturation import rounded, saturations
+from autotuner.core.diagnosis.effects.actuator.saturation import rounded, saturations, soft_limits
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import rate_limited, taken_over
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.disturbance import behind_a_lag
@@ -93,7 +93,7 @@ def test_limits_stay_where_they_are_though_the_output_goes_further_later():
     rng = np.random.default_rng(1)
     early, whole = [0.0] * 20 + [10.0] * 20 + [0.0] * 20, [0.0] * 20 + [10.0] * 20 + [-5.0, 30.0] * 10
     dataset, longer = (dataset_of(recording(output, rng.normal(size=60))) for output in (early, whole))
-    for effect in saturations(dataset):
+    for effect in (*saturations(dataset), *soft_limits(dataset)):
         start = effect.starts[-1]
         known, further = (effect.position(d.data.held, start, d) for d in (dataset, longer))
         assert further.at(np.array([30.0])) == pytest.approx(known.at(np.array([30.0]))), effect.form

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.actuator.saturation import soft_limits
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
@@ -129,7 +130,7 @@ def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect
     A controller moves on where its actuator has ended: the process alone has to answer to that, and lies far away.
     """
     pair = _free_pair(base.origins)
-    curves = [e for e in effects if e.group == CURVE]
+    curves = [*(e for e in effects if e.group == CURVE), *soft_limits(context.dataset)]
     if context.dataset.controller is None or pair is None or pair.problem.effects:
         return []
     found = _beside_each(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.effects.actuator.saturation import soft_limits
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
@@ -343,14 +344,15 @@ def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Seque
 def _with_free_curve(
     context: FitContext, base: Base, best: Fitted, declared: ProcessModel | None
 ) -> tuple[Fitted, list[Fitted]]:
-    """Return an actuator with its own curve as explanation of a record that no textbook effect explains.
+    """Return an actuator with its own curve, or a soft limit, as explanation where no textbook effect explains it.
 
     One more effect is searched too, because a wrong curve hides it.
     """
     alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(context, best)
     if alone or context.dataset.in_loop or context.dataset.budget.spent or base.held is not None:
         return best, []
-    curves = extend(context, base.origins, static_curves(context.dataset))
+    forms = [*static_curves(context.dataset), *soft_limits(context.dataset)]
+    curves = extend(context, base.origins, forms)
     accepted = [c for c in curves if is_accepted(context, base, base.best, c)]
     if not accepted:
         return best, curves

@@ -27,23 +27,26 @@ CORNER = 0.05
 SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
 """Limits to begin from, in swings; in a loop most of the output's range may lie beyond one."""
 SIDES = ("low", "high")
+WIDTH = Searched("width", 0.005, 0.5, 1e-4)
+"""Width of a rounded corner, in swings."""
 
 
 def saturations(dataset: Dataset) -> tuple[Effect, ...]:
-    """Return limits above, below, on both sides, and rounded ones."""
+    """Return limits above, below, on both sides, and rounded ones on both sides."""
     one, two = [(share,) for share in SHARES], [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)]
     soft = [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)]
-    width = Searched("width", 0.005, 0.5, 1e-4)
     return (
         _limits(dataset, "high", _of(("high",), 0.9), one),
         _limits(dataset, "low", _of(("low",), 0.9), one),
         _limits(dataset, "both", _of(SIDES, 0.6), two),
-        *(
-            _limits(dataset, f"{side}, soft", (*_of((side,), 0.9), width), [(*s, 2 * CORNER) for s in one])
-            for side in SIDES
-        ),
-        _limits(dataset, "soft", (*_of(SIDES, 0.6), width), soft),
+        _limits(dataset, "soft", (*_of(SIDES, 0.6), WIDTH), soft),
     )
+
+
+def soft_limits(dataset: Dataset) -> list[Effect]:
+    """Return one rounded limit, above or below: curves that are searched where no hard limit explains the record."""
+    starts = [(share, 2 * CORNER) for share in SHARES]
+    return [_limits(dataset, f"{side}, soft", (*_of((side,), 0.9), WIDTH), starts) for side in SIDES]
 
 
 def _of(sides: Sequence[str], most: float) -> tuple[Searched, ...]:
