@@ -63,6 +63,13 @@ def test_a_wave_that_begins_while_the_controller_answers_is_found(seed):
     assert answer.effects[0].parameters["period_s"] == pytest.approx(sizes["period_s"], rel=1e-2)
 
 
+@pytest.mark.long
+def test_what_was_found_beside_a_disturbance_is_reported_beside_what_does_as_well_without_it():
+    answer, _ = answer_to("recycle:pipe", 770)
+    (effect,) = answer.effects
+    assert {effect.name, *effect.indistinguishable} == {"slow_mode", "recycle"}
+
+
 @pytest.mark.parametrize("seed", [again(759)])
 def test_a_weak_loss_is_found_though_each_start_of_the_search_is_far_stronger(seed):
     answer, _ = answer_to("nonlinear_loss:outflow", seed)

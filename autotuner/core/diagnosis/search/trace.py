@@ -51,16 +51,19 @@ from autotuner.core.diagnosis.search.late_moves import late_instead, with_other_
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import (
+    AS_NEAR,
     alone_beside,
     at_the_input,
     best_on_both_parts,
     better_of,
+    disturbances_of,
     extend,
     finished,
     has_several,
     in_each_form,
     sketched,
     within,
+    without,
 )
 from autotuner.core.diagnosis.search.simplify import (
     CURVES,
@@ -180,6 +183,7 @@ def trace(
     best, late = with_uneven_updates(context, base, best)
     pool += curved
     chosen, tried = _with_needed_effects(context, base, best, steps, effects)
+    tried += _without_disturbance(context, best, chosen, pool)
     chosen, stepped = with_steps(context, chosen)
     pool += [*tried, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or late_instead(context, base, chosen)
@@ -198,6 +202,23 @@ def _with_needed_effects(
     chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
     closest, tried = _with_each_searched_again(context, chosen, effects)
     return (chosen if closest is chosen else dropped_back(context, base, closest)), tried
+
+
+def _without_disturbance(context: FitContext, best: Fitted, chosen: Fitted, pool: Sequence[Fitted]) -> list[Fitted]:
+    """Return other explanations without their disturbance, where the chosen one is the best one without its own.
+
+    Beside a disturbance they were found, and alone they were not searched for: the chosen one may be one of several.
+    """
+    gone = [e for e in best.problem.effects if e.name not in chosen.names]
+    if len(gone) != 1 or not disturbances_of(gone) or len(best.names) != len(chosen.names) + 1 or not chosen.names:
+        return []
+    beside = [
+        c for c in _distinct(closest_first(pool)) if len(c.names) == len(best.names) and c.rms < AS_NEAR * best.rms
+    ]
+    others = [(c, e) for c in beside for e in disturbances_of(c.problem.effects)]
+    others = [(c, e) for c, e in others if {*c.names} - {e.name} != {*chosen.names}][:BEAM]
+    left = [without(context, c, e) for c, e in within(context.dataset.budget, others)]
+    return [c for c in left if is_physical(c)]
 
 
 def _without_effects(context: FitContext, base: Base, alone: Fitted, chosen: Fitted) -> tuple[Fitted, Fitted]:
