@@ -42,6 +42,8 @@ NOISES = ("white", "coloured", "heavy", "quantised")
 VISIBLE, VISIBLE_OF_A_SENSOR = 1.5, 1.2
 """Misfit of the best linear model, in sigmas, from which an effect counts as visible."""
 OF_THE_SENSOR = {"sensor_quantisation", "outliers", "timing_jitter"}
+NO_REST = ("output_quantisation", "time_proportioning")
+"""Effects by which the actuator never has the output at which the generator begins."""
 Row = dict[str, Any]
 
 
@@ -261,14 +263,15 @@ def is_its_name(row: Row) -> bool:
 def is_alone_but_for_its_own(row: Row) -> bool:
     """Return whether every further name is true of the record, too: nobody hid it, but it is there.
 
-    A plant of third order has a third lag. It begins at rest for the output that is asked for, which steps do not take.
+    A plant of third order has a third lag. It begins at rest for the output that is asked for, which neither steps nor
+    pulses of the actuator take.
     """
     return bool(row.get("first") and all(is_its_own(name, row) for name in row["names"][1:]))
 
 
 def is_its_own(name: str, row: Row) -> bool:
     """Return whether a name is true of the record though nobody hid it."""
-    own = {"extra_lag": row["plant"] == "third", "not_settled": "output_quantisation" in row["name"]}
+    own = {"extra_lag": row["plant"] == "third", "not_settled": any(name in row["name"] for name in NO_REST)}
     return own.get(name, False)
 
 
