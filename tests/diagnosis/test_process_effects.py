@@ -529,3 +529,9 @@ def test_an_axis_against_a_general_solver():
         lambda x, f: [0.0 if f is None else (f + constant - coulomb - x[0]) / 6.0], [0.0], edges, view.t
     )  # the force at rest is below the friction
     assert seen == pytest.approx(found[0], abs=1e-6)
+
+
+def test_a_hold_as_short_as_the_rounding_of_its_times_is_no_way():
+    exact = lagged(HeldInput(np.array([0.0, 1.0, 4.0]), np.array([0.0, 5.0, 2.0])), 3.0, 6.0)
+    rounded = lagged(HeldInput(np.array([0.0, 1.0, 4.0, 4.0 + 1e-15]), np.array([0.0, 5.0, -7.0, 2.0])), 3.0, 6.0)
+    assert rounded.at(np.linspace(0.0, 30.0, 61)) == pytest.approx(exact.at(np.linspace(0.0, 30.0, 61)), abs=1e-6)

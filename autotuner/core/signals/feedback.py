@@ -42,11 +42,11 @@ def moves_all_the_time(recording: Recording) -> bool:
 
 def is_kept_at_set_point(recording: Recording) -> bool:
     """Return whether the PV is nearer to a recorded set point than the output is: a controller keeps it there."""
-    if recording.set_point is None:
+    set_point = recording.set_point
+    if set_point is None or not np.isfinite(set_point).any():
         return False
-    known = np.isfinite(recording.set_point)
-    pv_off, output_off = (np.abs(x - recording.set_point)[known].mean() for x in (recording.pv, recording.output))
-    return bool(pv_off < output_off)
+    pv_off, output_off = (float(np.nanmean(np.abs(x - set_point))) for x in (recording.pv, recording.output))
+    return pv_off < output_off
 
 
 def process_sign(recording: Recording) -> int:

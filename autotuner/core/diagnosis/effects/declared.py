@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 PIECES = 50
 """Steps in which the approach to a new level is written: a response to them is 2e-4 off."""
+NO_WAY = 1e-9
+"""Half of the share of a way that is too small to be gone: a hold may be as short as the rounding of its times."""
 FAR_SLOWER = 4.0
 """Time constant of a leak over the declared lag from which a process is taken to integrate."""
 SETTLED = 10.0
@@ -84,10 +86,10 @@ def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None, *, 
     x = 0.0
     for start, end, level in held.holds():
         way = level - x
-        if way == 0.0 or end <= start:
-            continue
         T = rising_s if way > 0.0 or falling_s is None else falling_s
         ends = -math.expm1((start - end) / T / 2.0)
+        if way == 0.0 or ends < NO_WAY:
+            continue
         most = math.ceil((end - start) / finest_s) if finest_s and math.isfinite(end) else PIECES
         approaches.append((start, x, way, T, ends, max(min(math.ceil(PIECES * ends), most), 1)))
         x += way * -math.expm1((start - end) / T)

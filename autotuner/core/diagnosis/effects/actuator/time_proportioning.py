@@ -2,7 +2,7 @@
 
     x(t) = full   for t_k <= t < t_k + (u(t_k)/full) P,   0 for the rest of the period,      t_k = (k + f) P
 
-or on until a carrier that rises from 0 to `full` in each period has reached `u(t)`. `u` recorded output, `full` its
+or on while `u(t)` is above a carrier that rises from 0 to `full` in each period. `u` recorded output, `full` its
 upper end, `P` period, `f` phase. The mean over a period is `u`; where the process is not much slower than the period,
 the PV shows its ripple, and each command waits for half a period. (Pulse-width modulation with uniform and with natural
 sampling: Holmes and Lipo, Pulse Width Modulation for Power Converters, 2003, section 3.)
