@@ -153,6 +153,12 @@ def test_a_quick_actuator_follows_at_once():
     assert stands_at == pytest.approx(u, abs=1e-6)
 
 
+def test_a_move_as_small_as_a_number_can_be_takes_no_time():
+    """5e-324 over a rate of 10 is 0 s."""
+    limited = rate_limited(held(np.array([0.0, 5e-324, 4.0])), 10.0)
+    assert limited.at(np.array([1.5, 3.0])) == pytest.approx([0.0, 4.0])
+
+
 @QUICK
 @given(levels, st.floats(0.3, 7.0), st.floats(0.0, 1.0))
 def test_updates_take_over_the_last_command_before_each(u, period, phase):

@@ -101,11 +101,12 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None, *
         if way == 0.0:
             continue
         rate = rising if way > 0.0 or falling is None else falling
-        lasts = abs(way) / rate
-        covered = min(lasts, end - t)
+        lasts = abs(way) / rate  # nothing, for a way that is no more than rounding
+        share = 1.0 if lasts <= end - t else (end - t) / lasts
+        covered = share * lasts
         most = math.ceil(covered / finest_s) if finest_s else PIECES
-        pieces = max(min(int(PIECES * min(1.0, covered / lasts + 0.2)), most), 2)
-        rise = math.copysign(rate, way) * covered / pieces
+        pieces = max(min(int(PIECES * min(1.0, share + 0.2)), most), 2)
+        rise = way * share / pieces
         ramps.append((t, x, covered / pieces, rise, pieces))
         x += rise * pieces
     return _in_steps(held.times[0], ramps)
