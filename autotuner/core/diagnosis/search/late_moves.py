@@ -42,9 +42,15 @@ HELD = 5
 """Closest explanations among which updates at even times are looked at again."""
 PARTS = (1.0, 1.5, 0.5, 1.0 / 3.0, 2.0)
 """Other periods, over the one that was found: moves at updates of one may fall on those of another."""
-GRIDS = ((PARTS, 0.04, 25, 8), (PARTS[:1], 0.02, 12, 32), (PARTS[:1], 0.01, 6, 64))
-"""What is tried, ever finer: periods over the one found; steps, in shares of a period over the whole record, and how
-many of them to either side; and phases. With many moves, one is near the next update for each small step."""
+GRIDS = (
+    (PARTS, (0.04, 25), (1 / 8, 4)),
+    (PARTS[:1], (0.02, 12), (1 / 32, 16)),
+    (PARTS[:1], (0.01, 6), (1 / 64, 8)),
+    (PARTS[:1], (0.003, 8), (1 / 256, 12)),
+)
+"""What is tried, ever finer: periods over the one found; around each, steps in shares of it over the whole record, and
+steps of the phase in periods, with how many of them to either side. With many moves, one is near the next update for
+each small step."""
 AS_NEAR = 1.1
 """Ratio of the misfits up to which another grid is as near: noise of 100 samples makes as much."""
 FLOW, PAIR = "flow_delay", 2
@@ -128,7 +134,11 @@ def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitte
 
 
 def _on_grids(
-    context: FitContext, held: Fitted, parts: Sequence[float], step: float, each_way: int, phases: int
+    context: FitContext,
+    held: Fitted,
+    parts: Sequence[float],
+    periods: tuple[float, int],
+    phases: tuple[float, int],
 ) -> list[Fitted]:
     """Return an explanation by even updates with periods about parts of its own, and all moves as late in the mean."""
     problem, dead_time = replace(held.problem, rows=context.screen), len(held.problem.structure.shape)
@@ -136,14 +146,17 @@ def _on_grids(
     at = dead_time + 1 + sum(len(e.searched) for e in before)
     period, phase = math.exp(held.theta[at]), float(held.theta[at + 1])
     tried = []
-    for part, k, turn in product(parts, range(-each_way, each_way + 1), range(phases)):
-        other = period * part * (1.0 + step * k * period * part / context.dataset.span_s)
-        later = turn / phases - 0.5
+    for part, longer, later in product(parts, _about(*periods), _about(*phases)):
+        other = period * part * (1.0 + longer * period * part / context.dataset.span_s)
         theta = held.theta.copy()
         theta[at : at + 2] = math.log(other), (phase * period / other + later) % 1.0
         theta[dead_time] += ((period - other) / 2.0 - later * other) / problem.unit_s
         tried.append(theta)
     return [fit(problem, theta, 0) for theta in tried if theta[dead_time] >= 0.0]
+
+
+def _about(step: float, each_way: int) -> list[float]:
+    return [step * k for k in range(-each_way, each_way + 1)]
 
 
 def _is_even(effect: Effect) -> bool:
