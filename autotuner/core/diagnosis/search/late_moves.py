@@ -39,7 +39,7 @@ LATE = 1.5
 TRIED_TIMES, ONE_BY_ONE = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0), 15
 """Delays of a move that are tried, relative to the longest, and the most steps of the optimiser after it."""
 HELD = 5
-"""Closest explanations among which updates at even times are looked at again."""
+"""Closest explanations among which updates, or pulses, at even times are looked at again."""
 PARTS = (1.0, 1.5, 0.5, 1.0 / 3.0, 2.0)
 """Other periods, over the one that was found: moves at updates of one may fall on those of another."""
 GRIDS = (
@@ -113,10 +113,10 @@ def _on_a_grid(context: FitContext, timed: Fitted) -> list[Fitted]:
 
 
 def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
-    """Return the closest explanation by even updates with other periods and phases, where it leaves more than noise.
+    """Return the closest explanation by even times with other periods and phases, where it leaves more than noise.
 
-    A move that reaches another update is a jump of the misfit, beyond which no slope leads. Several grids may explain
-    the fitted part as well, until a move of the other part shows which of them it is.
+    These are of updates, or of pulses. A move that reaches another one is a jump of the misfit, beyond which no slope
+    leads. Several grids may explain the fitted part as well, until a move of the other part shows which of them it is.
     """
     held = next((c for c in found[:HELD] if any(map(_is_even, c.problem.effects))), None)
     if held is None or is_noise(context, held) or context.dataset.budget.spent:
@@ -140,7 +140,7 @@ def _on_grids(
     periods: tuple[float, int],
     phases: tuple[float, int],
 ) -> list[Fitted]:
-    """Return an explanation by even updates with periods about parts of its own, and all moves as late in the mean."""
+    """Return an explanation by even times with periods about parts of its own, and all moves as late in the mean."""
     problem, dead_time = replace(held.problem, rows=context.screen), len(held.problem.structure.shape)
     before = takewhile(lambda e: not _is_even(e), problem.effects)
     at = dead_time + 1 + sum(len(e.searched) for e in before)
@@ -160,7 +160,8 @@ def _about(step: float, each_way: int) -> list[float]:
 
 
 def _is_even(effect: Effect) -> bool:
-    return effect.name == "actuator_hold" and not effect.form
+    """Return whether an actuator takes over its command at even times: an update, or a pulse."""
+    return tuple(one.name for one in effect.searched) == ("log_period", "phase")
 
 
 def _spread_of_times(timed: Fitted) -> float:
