@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.effects.sensor_hysteresis import reading_that_creeps, reading_with_play, sensor_hysteresis
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.effects import EffectPlugin, check_effect
 from tests.diagnosis.test_records_without_segments import integrated, levels, straight
 
@@ -90,3 +91,11 @@ def test_play_of_the_sensor_and_of_the_actuator_are_distinguished(hidden, among)
         assert effect.name == "backlash"
         assert effect.parameters["width"] == pytest.approx(3.0, rel=0.05)
     assert pytest.approx(2.0, rel=0.02) == found.process.K
+
+
+def test_a_creep_as_quick_as_the_process_is_a_further_lag_of_the_row():
+    dataset = dataset_of(Recording(np.arange(60.0), np.repeat([0.0, 5.0], 30), np.arange(60.0)))
+    standing, creeping = sensor_hysteresis(dataset)
+    assert standing.means((0.5, 0.5), (), 1.0, (20.0, 5.0))
+    assert creeping.means((0.5, math.log(40.0)), (), 1.0, (20.0, 5.0))
+    assert not creeping.means((0.5, math.log(22.0)), (), 1.0, (20.0, 5.0))

@@ -35,6 +35,9 @@ WIDTHS, AHEAD = (0.03, 0.08, 0.2, 0.4), (0.0, 0.5, 1.0)
 """Widths, and shares of them ahead of the first motion upwards, to begin from."""
 QUICKEST, SLOWEST, CREEPS = 0.002, 0.5, (0.02, 0.1)
 """Time constant of a creep, in records: quicker, nothing rests; slower, nothing creeps; and two to begin from."""
+SLOWER = 1.5
+"""Least time constant of a creep, over the longest of the process: quicker, it is a further lag of the row, whose play
+has no end."""
 
 
 def sensor_hysteresis(dataset: Dataset) -> tuple[Effect, Effect]:
@@ -55,6 +58,7 @@ def sensor_hysteresis(dataset: Dataset) -> tuple[Effect, Effect]:
             lambda p, _c, g: {"width": p[0] * swing * abs(g), **({"creep_s": math.exp(p[1])} if form else {})},
             form=form,
             response=response,
+            means=lambda p, _c, _g, shape: not form or math.exp(p[1]) > SLOWER * max(shape, default=0.0),
         )
 
     creep = Searched("log_creep", math.log(QUICKEST * span), math.log(SLOWEST * span), 1e-4)
