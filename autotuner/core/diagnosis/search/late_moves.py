@@ -20,7 +20,14 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import best_on_both_parts, extend, refined, with_second_lag, within
+from autotuner.core.diagnosis.search.search import (
+    AS_NEAR,
+    best_on_both_parts,
+    extend,
+    refined,
+    with_second_lag,
+    within,
+)
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -51,8 +58,6 @@ GRIDS = (
 """What is tried, ever finer: periods over the one found; around each, steps in shares of it over the whole record, and
 steps of the phase in periods, with how many of them to either side. With many moves, one is near the next update for
 each small step."""
-AS_NEAR = 1.1
-"""Ratio of the misfits up to which another grid is as near: noise of 100 samples makes as much."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 
