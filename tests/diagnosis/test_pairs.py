@@ -257,8 +257,12 @@ def test_a_large_wave_is_searched_with_a_process_that_does_not_ring_in_its_place
     context = bench_of(dataset_of(recording))
     ringing = at_the_truth(recording, RINGING, dataset=context.dataset)
     base = SimpleNamespace(origins=[fit(replace(ringing.problem, rows=context.fine), ringing.theta, 0)])
-    found, *_ = with_process_beside_wave(context, base, loads_of(context.dataset))
-    assert found.names == ("periodic_disturbance",)
+    found, from_the_start = with_process_beside_wave(context, base, loads_of(context.dataset))
+    assert [e.key for c in (found, from_the_start) for e in c.problem.effects] == [
+        "periodic_disturbance",
+        "periodic_disturbance:begins",
+    ]
+    assert from_the_start.sizes()[0]["period_s"] == pytest.approx(41.0, rel=0.01)
     assert found.rms < 1.1 * SIGMA
     assert found.sizes() == [pytest.approx({"period_s": 41.0, "amplitude": 6.0}, rel=0.01)]
 

@@ -144,6 +144,12 @@ def accumulate_states(P: Sequence[Sequence[FloatArray]] | FloatArray, g: FloatAr
     return _swept(band, g, steps * size)
 
 
+def numbered(counts: IntArray) -> IntArray:
+    """Return 0, 1, ..., n - 1 for each of some counts n, all in a row."""
+    result: IntArray = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return result
+
+
 def recurrence(c: FloatArray, g: FloatArray) -> FloatArray:
     """Return `x_k = g_k - sum_j c_j x_{k-j}` for `j` from 1 on, `x` 0 before; `c_0` does not count."""
     return _swept(np.asfortranarray(np.tile(c[:, None], g.size)), g, g.size)

@@ -14,7 +14,7 @@ import scipy
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
-from autotuner.core.model.zoh_input import HeldInput
+from autotuner.core.model.zoh_input import HeldInput, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +29,6 @@ NO_WAY = 1e-9
 """Half of the share of a way that is too small to be gone: a hold may be as short as the rounding of its times."""
 FAR_SLOWER = 4.0
 """Time constant of a leak over the declared lag from which a process is taken to integrate."""
-SETTLED = 10.0
-"""Time constants after which it has arrived."""
 
 
 def declared_effects(dataset: Dataset, model: ProcessModel) -> tuple[Effect, ...]:
@@ -43,17 +41,16 @@ def declared_effects(dataset: Dataset, model: ProcessModel) -> tuple[Effect, ...
 def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
     low, high = math.log(0.2 * dataset.data.interval_s), math.log(3.0 * dataset.span_s)
     lag = Searched("log_lag", low, high, 1e-4)
-    finest_s = dataset.data.interval_s / 2.0
     later = Searched("later", 0.0, 3.0 * slowest_s / dataset.data.interval_s, 1e-3)  # in sample intervals
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         extra = math.exp(p[0])
         when = view.t - view.delay_s - (p[1] * dataset.data.interval_s if len(p) > 1 else 0.0)
-        held = lagged(view.input, extra, finest_s=finest_s) if len(p) > 1 else view.input
+        held = lagged(view.input, extra, finest_s=dataset.finest_s) if len(p) > 1 else view.input
         if isinstance(view.motion, Lag):
             T = view.motion.T
             return Pair(T * extra, T + extra).forced(held, when)[0][0]
-        answer: FloatArray = view.motion.forced(lagged(held, extra, finest_s=finest_s), when)[0][0]
+        answer: FloatArray = view.motion.forced(lagged(held, extra, finest_s=dataset.finest_s), when)[0][0]
         return answer
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> dict[str, float]:
@@ -67,12 +64,6 @@ def _extra_lag(dataset: Dataset, slowest_s: float) -> tuple[Effect, ...]:
         Effect("extra_lag", Place.PROCESS, (lag,), one, sizes, response=response),
         Effect("extra_lag", Place.PROCESS, (lag, later), row, sizes, "spread", response=response, price=2.0),
     )
-
-
-def times_of_approach(shares: FloatArray) -> FloatArray:
-    """Return when a lag has gone some shares of its way, in time constants; all of it after `SETTLED`."""
-    times: FloatArray = -np.log1p(-shares * (1.0 - math.exp(-SETTLED)))
-    return times
 
 
 def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None, *, finest_s: float = 0.0) -> HeldInput:
@@ -95,7 +86,7 @@ def lagged(held: HeldInput, rising_s: float, falling_s: float | None = None, *, 
         x += way * -math.expm1((start - end) / T)
     counts = np.array([of[-1] for of in approaches], dtype=int)
     starts, positions, ways, lags, ends_at, pieces = np.repeat(np.array(approaches).reshape(-1, 6), counts, axis=0).T
-    step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    step = numbered(counts)
     before, after = (1.0 - (1.0 - ends_at * k / pieces) ** 2 for k in (step, step + 1))
     from_s, to_s = (scipy.special.xlogy(1.0 - s, 1.0 - s) + s for s in (before, after))
     times = starts + lags * (to_s - from_s) / (after - before)

@@ -226,7 +226,7 @@ def _measured(dataset: Dataset, name: str) -> tuple[Effect, ...]:
         return [answer, *(() if dataset.settled_first else lag.free(view.t))]
 
     def through(view: View, p: Sequence[float]) -> list[FloatArray]:
-        entering = lagged(_between(view.dataset, name), math.exp(p[0]), finest_s=dataset.data.interval_s / 2.0)
+        entering = lagged(_between(view.dataset, name), math.exp(p[0]), finest_s=dataset.finest_s)
         return [view.forced(entering, delayed=False)]
 
     def into(view: View, _p: Sequence[float]) -> list[FloatArray]:

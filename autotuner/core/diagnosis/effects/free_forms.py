@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from autotuner.core.diagnosis.effects.declared import times_of_approach
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -51,6 +50,8 @@ MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
 SHARES: FloatArray = (np.arange(20, dtype=np.float64) + 0.5) / 20.0
 """Middles of the equal steps in which a load that ramps or settles is written, as shares of it."""
+SETTLED = 10.0
+"""Time constants after which a load that settles has come."""
 
 
 def free_forms(dataset: Dataset) -> tuple[Effect, ...]:
@@ -190,7 +191,8 @@ def _ramp(dataset: Dataset) -> Effect:
 
 
 def _settling(dataset: Dataset) -> Effect:
-    return _load_in_steps(dataset, "settling", "time_constant_s", times_of_approach(SHARES))
+    approach = -np.log1p(-SHARES * (1.0 - math.exp(-SETTLED)))
+    return _load_in_steps(dataset, "settling", "time_constant_s", approach)
 
 
 def _load_in_steps(dataset: Dataset, form: str, duration: str, at: FloatArray) -> Effect:

@@ -142,6 +142,11 @@ class Dataset:
         return visible_jumps(self.data.t[self.fitted], self.data.pv[self.fitted], self.floor)
 
     @property
+    def finest_s(self) -> float:
+        """Shortest step in which a motion between samples is written, s: half of one, as no PV is read between."""
+        return self.data.interval_s / 2.0
+
+    @property
     def swing(self) -> float:
         """Range of the output, output units."""
         return float(np.ptp(self.data.held.levels))

@@ -52,7 +52,6 @@ ADDED = (0.3, 0.7)
 """Dead times to begin with where the process alone has none, in hundredths of the record (`Extended.unit_s`)."""
 STRONGEST, WAVE = 2, 0.2
 """Waves of the PV that are looked at, and the least share of its variance about a straight line to be searched for."""
-WAVE_THAT_BEGINS = "periodic_disturbance:begins"
 LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
 """Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
 QUICK_LAG = 0.1
@@ -84,24 +83,22 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     """Return a wave with a pair of lags that is searched for beside it, fitted on all samples, where closer.
 
     Alone, the process rings in place of a large wave, or waits for half of its period, and does not come back from it.
-    So is one that begins within the record.
+    A wave that begins within the record is searched in the same way.
     """
-    wave = _sine_of(effects)
+    wave, late = _wave_of(effects), _wave_of(effects, "begins")
     pair = _free_pair(base.origins)
-    dataset, lines = context.dataset, _large_waves(context.dataset)
-    if wave is None or pair is None or dataset.tuned or pair.problem.effects or not lines:
+    dataset = context.dataset
+    if wave is None or late is None or pair is None or dataset.tuned or pair.problem.effects:
         return []
+    lines = _large_waves(dataset)
     problem = replace(pair.problem.with_effect(wave), rows=context.coarse)
     found = [
         fit(problem, np.append(shape, math.log(line)), COARSE_STEPS, ENOUGH_FOR_RANKS)
         for line, shape in within(dataset.budget, product(lines, _shapes(dataset)))
     ]
-    later = [
-        replace(e, starts=[(math.log(line), at) for line in lines for at in sorted({at for _, at in e.starts})])
-        for e in effects
-        if e.key == WAVE_THAT_BEGINS
-    ]
-    begun = _beside_each(context, pair, later, _shapes(dataset))
+    moments = sorted({at for _, at in late.starts})
+    late = replace(late, starts=[(math.log(line), at) for line in lines for at in moments])
+    begun = _beside_each(context, pair, [late], _shapes(dataset))
     return [*_closest(context, found, pair), *_closest(context, begun, pair)]
 
 
@@ -130,9 +127,9 @@ def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect
     A controller moves on where its actuator has ended: the process alone has to answer to that, and lies far away.
     """
     pair = _free_pair(base.origins)
-    curves = [*(e for e in effects if e.group == CURVE), *soft_limits(context.dataset)]
     if context.dataset.controller is None or pair is None or pair.problem.effects:
         return []
+    curves = [*(e for e in effects if e.group == CURVE), *soft_limits(context.dataset)]
     found = _beside_each(
         context, pair, [*curves, *static_curves(context.dataset)], [*_shapes(context.dataset), pair.theta]
     )
@@ -147,7 +144,7 @@ def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[
     takes the place of.
     """
     pair, curves = _free_pair(base.origins), [e for e in effects if e.group == CURVE]
-    free, wave = free_load_of(effects), _sine_of(effects)
+    free, wave = free_load_of(effects), _wave_of(effects)
     if context.dataset.tuned or pair is None or pair.problem.effects or not curves:
         return []
     found = []
@@ -187,8 +184,8 @@ def _large_waves(dataset: Dataset) -> tuple[float, ...]:
     return tuple(f for f in spectral_lines(dataset, pv)[:STRONGEST] if share_of_wave(dataset, pv, f) > WAVE)
 
 
-def _sine_of(effects: Sequence[Effect]) -> Effect | None:
-    return next((e for e in effects if e.name == "periodic_disturbance" and not e.form), None)
+def _wave_of(effects: Sequence[Effect], form: str = "") -> Effect | None:
+    return next((e for e in effects if e.name == "periodic_disturbance" and e.form == form), None)
 
 
 def _beside_each(

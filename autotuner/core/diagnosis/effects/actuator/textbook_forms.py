@@ -21,7 +21,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, saturations
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
-from autotuner.core.model.zoh_input import HeldInput
+from autotuner.core.model.zoh_input import HeldInput, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -80,9 +80,7 @@ def rate_limit(dataset: Dataset, *, unequal: bool = False) -> Effect:
         apart if unequal else alike,
         lambda p, _c, _g: {f"{name}_per_s": math.exp(x) * swing for name, x in zip(names, p, strict=True)},
         form="unequal" if unequal else "",
-        position=lambda held, p, _: rate_limited(
-            held, *(math.exp(x) * swing for x in p), finest_s=dataset.data.interval_s / 2.0
-        ),
+        position=lambda held, p, _: rate_limited(held, *(math.exp(x) * swing for x in p), finest_s=dataset.finest_s),
         order=2,
         price=2.0 if unequal else 0.0,
         group="timing",
@@ -116,7 +114,7 @@ def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, 
     """Return a position that is at 0 from its start, and moves by ramps, each in steps about their middle."""
     begins, positions, durations, rises, pieces = np.array(ramps).reshape(-1, 5).T
     counts = pieces.astype(int)
-    step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    step = numbered(counts)
     times = np.repeat(begins, counts) + (step + 0.5) * np.repeat(durations, counts)
     levels = np.repeat(positions, counts) + (step + 1) * np.repeat(rises, counts)
     return HeldInput(np.append(start_s, times), np.append(0.0, levels))

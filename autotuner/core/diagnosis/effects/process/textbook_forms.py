@@ -146,9 +146,7 @@ def _unequal_lags(dataset: Dataset) -> Effect:
         [(up, down) for up in some for down in some if up != down],
         lambda p, _c, _g: {"rising_lag_s": math.exp(p[0]), "falling_lag_s": math.exp(p[1])},
         form="element",
-        position=lambda held, p, _: lagged(
-            held, math.exp(p[0]), math.exp(p[1]), finest_s=dataset.data.interval_s / 2.0
-        ),
+        position=lambda held, p, _: lagged(held, math.exp(p[0]), math.exp(p[1]), finest_s=dataset.finest_s),
         order=2,
         group="timing",
         price=2.0,
