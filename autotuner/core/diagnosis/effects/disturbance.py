@@ -1,7 +1,7 @@
 """Disturbances, and errors of the sensor that resemble them.
 
 load_step             + c G[step at ts]             at the input of the process
-drift                 + c max(t - ts, 0)            on the PV; or c1 t + c2 t^2 + c3 t^3
+drift                 + c max(t - ts, 0)            on the PV; or c1 t + c2 t^2 + c3 t^3, or c t^n
 periodic_disturbance  (see `waves`)
 measured_disturbance  + c d/(Td s + 1)              `d` a further column of the record
 ambient               the same, for a column that is named so
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 STEP_OVER_NOISE = math.sqrt(12.0)
 """A step of rounding over the standard deviation of its error, which is uniform (Widrow and Kollar, 2008)."""
+MOST_POWER = 5.0
+"""Largest power of time along which a drift grows: beyond, it begins late."""
 MOMENTS = 24
 """Moments at which a step is tried."""
 FEW_MOVES = 60
@@ -173,16 +175,29 @@ def curved_drift(dataset: Dataset) -> Effect:
     def cubic(x: FloatArray | float) -> FloatArray:
         return np.array([x, np.square(x), np.power(x, 3)])
 
+    until = dataset.fitted_until_s / span
+    power = Effect(
+        "drift",
+        Place.DISTURBANCE,
+        (Searched("power", 1.0, MOST_POWER, 1e-4),),
+        [(2.0,), (3.0,)],
+        lambda p, c, _g: {"pv_in_all": c[0] * until ** p[0], "power": p[0]},
+        form="accelerating",
+        columns=lambda view, p: [np.power(view.t / span, p[0])],
+        price=2.0,
+        group="slow",
+    )
     return Effect(
         "drift",
         Place.DISTURBANCE,
         (),
         [()],
-        lambda _p, c, _g: {"pv_in_all": float(np.dot(c, cubic(dataset.fitted_until_s / span)))},
+        lambda _p, c, _g: {"pv_in_all": float(np.dot(c, cubic(until)))},
         form="curved",
         columns=lambda view, _p: list(cubic(view.t / span)),
         price=2.0,
         group="slow",
+        other_forms=(power,),
     )
 
 

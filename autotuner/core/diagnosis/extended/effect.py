@@ -151,6 +151,8 @@ class Effect:
         From the values of `searched`, the standard deviation of the lateness of moves that nothing was fitted to, s.
     blur : callable, optional
         From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
+    other_forms : tuple of Effect
+        Forms that are tried in its place once it was found: a search does not need them to come to its name.
     next_terms : tuple of Effect
         The effect with a next term of its series, each: `searched` or `columns` have one more at their end. They are
         never reported, but show what the form leaves open.
@@ -178,6 +180,7 @@ class Effect:
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     lateness_s: Callable[[Sequence[float]], float] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
+    other_forms: tuple[Effect, ...] = ()
     next_terms: tuple[Effect, ...] = ()
 
     @property

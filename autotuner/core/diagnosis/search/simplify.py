@@ -35,7 +35,16 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
-from autotuner.core.diagnosis.search.search import AS_NEAR, FINE_STEPS, alone_beside, extend, has_several, without
+from autotuner.core.diagnosis.search.search import (
+    AS_NEAR,
+    FINE_STEPS,
+    QUICK_STEPS,
+    alone_beside,
+    extend,
+    has_several,
+    within,
+    without,
+)
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -120,6 +129,32 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
         return chosen
     (at,) = _values_of(chosen, kink)
     return _plainer(context, chosen, _exchanged(chosen, kink, limit, [1.0 - at if side == "high" else at]))
+
+
+def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
+    """Return the explanation with each effect in another form of as many numbers where both parts speak for it."""
+    for effect in chosen.problem.effects:
+        starts = [(form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form)]
+        thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
+        tried = [
+            _exchanged(thinned, effect, form, start, QUICK_STEPS)
+            for form, start in within(context.dataset.budget, starts)
+        ]
+        if tried:
+            closest = closest_first(tried)[0]
+            chosen = _plainer(context, chosen, fit(replace(closest.problem, rows=context.fine), closest.theta))
+    return chosen
+
+
+def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[Sequence[float]]:
+    """Return where the search of another form begins: with the numbers of that name, and its own starts of the rest."""
+    known = dict(zip([s.name for s in effect.searched], _values_of(chosen, effect), strict=True))
+    new = [s.name for s in form.searched if s.name not in known]
+    if not new:
+        return [[known[s.name] for s in form.searched]]
+    if len(form.starts[0]) == len(form.searched):
+        return list(form.starts)
+    return [[{**known, **dict(zip(new, start, strict=True))}[s.name] for s in form.searched] for start in form.starts]
 
 
 def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

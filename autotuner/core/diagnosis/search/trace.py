@@ -71,6 +71,7 @@ from autotuner.core.diagnosis.search.simplify import (
     with_best_moment,
     with_one_form,
     with_one_pulse,
+    with_other_forms,
     with_own_shapes,
     with_plain_drift,
     with_plain_forms,
@@ -170,6 +171,7 @@ def trace(
         following, accepted = _following(context, base, best, found)
         if accepted:
             following = with_smooth_course(context, _from_its_process(context, following, declared), effects)
+            following = with_other_forms(context, following)
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
@@ -240,7 +242,7 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
     chosen = with_best_moment(context, with_plain_step(context, simplest(context, chosen), effects))
     chosen = with_own_shapes(context, with_plain_limit(context, chosen, effects))
     chosen = with_smooth_course(context, with_plain_drift(context, chosen, effects), effects)
-    return with_plain_forms(context, chosen, effects)
+    return with_plain_forms(context, with_other_forms(context, chosen), effects)
 
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:

@@ -8,13 +8,15 @@ time at the first flow, a position that is taken at `t_i` leaves the pipe at
     t_i' = Q^-1(Q(t_i) + V/q0),     Q(t) = integral of 1 + a u
 
 `Q` is straight between two moves, so that this is exact. Where the flow changes from `q0` to `q0/r` at a time `t*`, the
-dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`.
+dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`. Where it does so evenly within a while
+`W`, with `s = t - t*`:  `Q = t* + s - a s^2`  up to `s = W`, `a = (1 - 1/r)/(2 W)`, and straight from there.
 (Zenger and Ylinen, IFAC World Congress 2002; the transport delay of plug flow.)
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +38,8 @@ LARGEST_RATIO = 5.0
 """Largest ratio of two dead times, either way: beyond, hardly a response of the process is left in a record."""
 JUMPS, MOMENTS = (0.4, 0.65, 1.5, 2.3), 12
 """Ratios of the later dead time to the first to begin from, and the number of moments."""
+WITHIN_A_WHILE, LONGEST, CHANGES = "within a while", 0.3, (0.03, 0.1)
+"""What a change that lasts is called, its longest time over that of the record, and those to begin from."""
 FEWEST_MOVES = 2
 """Moves of the output on either side of a jump: one move alone may be late for any other reason."""
 STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
@@ -76,9 +80,9 @@ def dead_time_jump(dataset: Dataset, fewest: int = FEWEST_MOVES) -> Effect:
     span, share = dataset.span_s, dataset.fitted_until_s / dataset.span_s
 
     def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
-        return carried_since(held, p[0] * span, math.exp(p[1]), delay_s)
+        return carried_since(held, p[0] * span, math.exp(p[1]), delay_s, *(p[2] * span for _ in p[2:]))
 
-    return Effect(
+    jump = Effect(
         "dead_time_jump",
         Place.PROCESS,
         (
@@ -93,6 +97,14 @@ def dead_time_jump(dataset: Dataset, fewest: int = FEWEST_MOVES) -> Effect:
         group="timing",
         means=lambda p, _c, _g, _shape: _moves_apart(dataset, p[0] * span) >= fewest,
     )
+    slower = replace(
+        jump,
+        form=WITHIN_A_WHILE,
+        searched=(*jump.searched, Searched("lasts", 0.0, LONGEST, 1e-4)),
+        sizes=lambda p, c, g: {**jump.sizes(p[:2], c, g), "lasts_s": p[2] * span},
+        starts=[(lasts,) for lasts in CHANGES],
+    )
+    return replace(jump, other_forms=(slower,))
 
 
 def _moves_apart(dataset: Dataset, at_s: float) -> int:
@@ -102,7 +114,7 @@ def _moves_apart(dataset: Dataset, at_s: float) -> int:
     return min(before, int(np.count_nonzero(moves < dataset.fitted_until_s)) - before)
 
 
-def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float) -> HeldInput:
+def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float, lasts_s: float = 0.0) -> HeldInput:
     """Return a position as it leaves the pipe, the first dead time left out, where the flow changes at a time.
 
     Parameters
@@ -115,9 +127,17 @@ def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float) ->
         Dead time after it, over that before.
     delay_s : float
         Dead time before it, s.
+    lasts_s : float
+        Time within which the flow changes evenly, s.
     """
-    passed = np.minimum(held.times, at_s) + np.maximum(held.times - at_s, 0.0) / ratio + delay_s
-    times = np.minimum(passed, at_s) + np.maximum(passed - at_s, 0.0) * ratio - delay_s
+    bend = (1.0 - 1.0 / ratio) / (2.0 * lasts_s) if lasts_s else 0.0
+    whole = lasts_s * (1.0 + 1.0 / ratio) / 2.0  # what passes within that time
+    since = np.clip(held.times - at_s, 0.0, lasts_s)
+    later = np.maximum(held.times - at_s - lasts_s, 0.0)
+    passed = np.minimum(held.times, at_s) + since * (1.0 - bend * since) + later / ratio + delay_s
+    within = np.clip(passed - at_s, 0.0, whole)
+    took = 2.0 * within / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * bend * within, 0.0)))
+    times = np.minimum(passed, at_s) + took + np.maximum(passed - at_s - whole, 0.0) * ratio - delay_s
     return _arriving(held, times)
 
 

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,15 +32,16 @@ WIDTH = Searched("width", 0.005, 0.5, 1e-4)
 """Width of a rounded corner, in swings."""
 
 
-def saturations(dataset: Dataset) -> tuple[Effect, ...]:
-    """Return limits above, below, on both sides, and rounded ones on both sides."""
+def saturations(dataset: Dataset, other_forms: tuple[Effect, ...] = ()) -> tuple[Effect, ...]:
+    """Return limits above, below, on both sides, and rounded ones on both sides; `other_forms` are of the last."""
     one, two = [(share,) for share in SHARES], [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)]
-    soft = [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)]
+    rounded_off = [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)]
+    soft = _limits(dataset, "soft", (*_of(SIDES, 0.6), WIDTH), rounded_off)
     return (
         _limits(dataset, "high", _of(("high",), 0.9), one),
         _limits(dataset, "low", _of(("low",), 0.9), one),
         _limits(dataset, "both", _of(SIDES, 0.6), two),
-        _limits(dataset, "soft", (*_of(SIDES, 0.6), WIDTH), soft),
+        replace(soft, other_forms=other_forms),
     )
 
 

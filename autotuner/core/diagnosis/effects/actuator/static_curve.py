@@ -11,13 +11,15 @@ cubic through rest that is closest. (Natural splines: de Boor, A Practical Guide
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.effects.actuator.characteristics import characteristics, closest_cubic
 from autotuner.core.diagnosis.effects.actuator.levels import SAME
-from autotuner.core.diagnosis.effects.actuator.saturation import map_levels
+from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, soft_limits
 from autotuner.core.diagnosis.extended.effect import Effect, Place
 
 if TYPE_CHECKING:
@@ -37,8 +39,6 @@ TURNS_OF_ODD = 3
 """Most turns of an odd curve: one at zero, and one in each half."""
 STRAIGHT = 0.02
 """Share of the largest bend up to which a curve is straight: an odd one is so at zero, but for rounding."""
-ROUNDING = 1e-9
-"""Share of the slope up to which a bend over the range is rounding: an odd curve about zero has none."""
 LATER = 0.1
 """Penalty that selects the smooth curve where steps of unequal size fit equally: the curve is simpler."""
 
@@ -55,7 +55,8 @@ def static_curves(dataset: Dataset) -> list[Effect]:
     if not 3 <= knots.size <= most:
         return odd
     basis = np.eye(knots.size)[:, 1:-1]
-    return [_curve(knots, basis, "free"), *([_steps(knots, basis)] if few else []), *odd]
+    free = replace(_curve(knots, basis, "free"), other_forms=(*characteristics(dataset), *soft_limits(dataset)))
+    return [free, *([_steps(knots, basis)] if few else []), *odd]
 
 
 def _odd_curve(levels: FloatArray, zero: float, most: int) -> list[Effect]:
@@ -72,11 +73,7 @@ def _odd_curve(levels: FloatArray, zero: float, most: int) -> list[Effect]:
 
 def _curve(knots: FloatArray, basis: FloatArray, form: str, turns: int = 1) -> Effect:
     def sizes(_p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
-        x = _positions(knots, basis, c, g)
-        powers = np.column_stack([knots**n for n in (1, 2, 3)])
-        slope, square, third = np.linalg.lstsq(powers, x - np.interp(0.0, knots, x), rcond=None)[0].tolist()
-        rounding = ROUNDING * abs(slope) / float(np.abs(knots).max())
-        return {"curvature": square if abs(square) > rounding else 0.0, "third": third, "slope_at_rest": slope}
+        return closest_cubic(knots, _positions(knots, basis, c, g))
 
     return Effect(
         "static_nonlinearity",

@@ -2,6 +2,7 @@
 
     rate_limit           |x'| <= rate,   or -falling rate <= x' <= rate
                          x' = (u - x)/lag, within -rate and rate: a positioner of limited speed
+                         x' = rate tanh((u - x)/(rate lag)): the same without a corner
     output_quantisation  x = origin + step round((u - origin)/step)
     actuator_hold        x takes over u every `period` only
     static_nonlinearity  x = u + c2 u^2 (+ c3 u^3)
@@ -19,7 +20,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, saturations
+from autotuner.core.diagnosis.effects.actuator.characteristics import characteristics
+from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, saturations, soft_limits
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput, numbered
 
@@ -47,6 +49,8 @@ WIDEST_BAND = 0.5
 """Way to the command, in swings, within which a positioner is not limited: with more, few moves are; it is a lag."""
 ARRIVED, OF_A_LAG = 5.0, 24
 """Lags after which a position has arrived, with 0.7 % of the way left, and steps in which that is written."""
+MOST_BANDS = 500.0
+"""Ways to the command, over the band of a soft limit, from which they are alike: their sinh overflows at 710."""
 
 
 def actuator_effects(
@@ -54,7 +58,7 @@ def actuator_effects(
 ) -> tuple[Effect, ...]:
     """Return the effects; `grids` are likely (period, phase) of updates, `steps` (step, origin) of known levels."""
     return (
-        *saturations(dataset),
+        *saturations(dataset, characteristics(dataset)),
         rate_limit(dataset),
         rate_limit(dataset, unequal=True),
         positioner(dataset),
@@ -123,7 +127,7 @@ def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, 
 def positioner(dataset: Dataset) -> Effect:
     """Return an actuator that follows its command like a lag, by a limited rate."""
     swing, span, plain = dataset.swing, dataset.span_s, rate_limit(dataset)
-    return replace(
+    hard = replace(
         plain,
         searched=(*plain.searched, Searched("log_band", math.log(0.02), math.log(WIDEST_BAND), 1e-3)),
         starts=[(-math.log(share * span), math.log(band)) for share in (0.003, 0.01, 0.03, 0.1) for band in (0.1, 0.4)],
@@ -132,6 +136,12 @@ def positioner(dataset: Dataset) -> Effect:
         position=lambda held, p, _: positioned(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0])),
         price=2.0,
     )
+    soft = replace(
+        hard,
+        form="soft",
+        position=lambda held, p, _: approached(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0])),
+    )
+    return replace(hard, other_forms=(soft,))
 
 
 def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
@@ -154,6 +164,32 @@ def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
             rise = moved * (target - x)
             ramps.append((t + ramp_s + k * lasts, x, lasts, rise, 1))
             x += rise
+    return _in_steps(held.times[0], ramps)
+
+
+def approached(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
+    """Return a position that approaches its command by a rate which falls with the way left, in small steps.
+
+    `sinh(e/b) = sinh(e0/b) e^{-t/lag}` is the way left after a time `t`, with `b = rate lag`, of which `e0` were left.
+    """
+    ramps: list[tuple[float, float, float, float, int]] = []  # see `rate_limited`
+    x, band = 0.0, rate * lag_s
+    for t, end, target in held.holds():
+        way = target - x
+        lasts = min(end - t, abs(way) / rate + ARRIVED * lag_s)
+        if way == 0.0 or lasts <= 0.0:
+            continue
+        pieces = max(math.ceil(OF_A_LAG * lasts / (ARRIVED * lag_s)), 1)
+        pieces = min(pieces, OF_A_LAG + PIECES)
+        since = np.linspace(0.0, lasts, pieces + 1)
+        bands = np.clip(way / band, -MOST_BANDS, MOST_BANDS)
+        left = band * np.arcsinh(np.sinh(bands) * np.exp(-since / lag_s))
+        at, rises = target - left, -np.diff(left)
+        ramps += [
+            (t + begin, here, lasts / pieces, rise, 1)
+            for begin, here, rise in zip(since[:-1].tolist(), at[:-1].tolist(), rises.tolist(), strict=True)
+        ]
+        x = float(at[-1])
     return _in_steps(held.times[0], ramps)
 
 
@@ -228,10 +264,15 @@ def _curves(dataset: Dataset) -> tuple[Effect, ...]:
         )
 
     # A power law has the fourth power next, a curve that bends alike on either side the fifth.
-    forms = (("square", (2,), (3,)), ("cubic", (2, 3), (4, 5)))
+    valves = characteristics(dataset)
+    forms = (("square", (2,), (3,), valves), ("cubic", (2, 3), (4, 5), (*valves, *soft_limits(dataset))))
     return tuple(
-        replace(curve(form, powers), next_terms=tuple(curve(form, (*powers, power)) for power in following))
-        for form, powers, following in forms
+        replace(
+            curve(form, powers),
+            next_terms=tuple(curve(form, (*powers, power)) for power in following),
+            other_forms=other_forms,
+        )
+        for form, powers, following, other_forms in forms
     )
 
 
@@ -266,6 +307,7 @@ def _direction_gains(dataset: Dataset) -> tuple[Effect, ...]:
             price=price,
             group="curve",
             means=lambda _p, c, g, _shape: c[0] / g > -1.0,
+            other_forms=characteristics(dataset) if form == "bend" else (),
         )
         for form, searched, starts, price, above in ways
     )

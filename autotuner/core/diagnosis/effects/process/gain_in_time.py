@@ -12,6 +12,7 @@ with `v` the input where it arrives: the dead time is before the process. (Kern,
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +41,8 @@ def gains_in_time(dataset: Dataset) -> tuple[Effect, ...]:
     """Return the forms; a free one needs more moves than it has knots, with fewer it follows whatever they meet."""
     moves = np.count_nonzero(dataset.data.held.times[1:] < dataset.fitted_until_s)
     free = (_free(dataset),) if moves > KNOTS else ()
-    return _straight(dataset), _settling(dataset), *free, _jump(dataset)
+    settling = _settling(dataset)
+    return _straight(dataset), settling, *(replace(e, other_forms=(settling,)) for e in free), _jump(dataset)
 
 
 def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:

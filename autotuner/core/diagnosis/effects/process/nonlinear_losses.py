@@ -4,7 +4,8 @@
 
 with `w` the response of the process of unit gain as deviation from rest, `v` its input, `L` the level, or temperature,
 above that at which the loss ends, over the gain: p = 1/2 free outflow (Torricelli), 4 radiation (Stefan, Boltzmann),
-2 any other loss to second order (free convection, p = 1.25 to 1.33).
+2 any other loss to second order (free convection, p = 1.25 to 1.33). Evaporation grows like the pressure of the vapour,
+by a factor for every degree (Clausius, Clapeyron), which is the limit of large p:  h(w) = (e^{2 b w} - 1)/(2 b).
 
     w = G[v - (a w^2 + b w^3)/s]
 
@@ -16,6 +17,7 @@ tanks.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
 FORMS = {"": 2.0, "outflow": 0.5, "radiation": 4.0}
 AT_THE_END = ("outflow", "radiation")
 """Losses by one number that the last of two stores may have alone."""
+EXPONENTIAL, LARGEST_EXPONENT = "exponential", 30.0
+"""Form that is tried in place of another one, and exponent beyond which no store of a record is."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
 RINGS = 2.0
@@ -58,7 +62,15 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     everywhere = (*(_loss(dataset, form) for form in FORMS), free)
     if rings:
         return everywhere
-    return (*everywhere, _cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END))
+    alone = (_cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END))
+    return (
+        *(_or_exponential(e, _loss(dataset, EXPONENTIAL)) for e in everywhere),
+        *(_or_exponential(e, _loss(dataset, EXPONENTIAL, last=True)) for e in alone),
+    )
+
+
+def _or_exponential(effect: Effect, exponential: Effect) -> Effect:
+    return replace(effect, other_forms=(exponential,))
 
 
 def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
@@ -108,7 +120,7 @@ def _power_law(a: float, b: float, c: float) -> tuple[Curve, Curve]:
 
 def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
     """Return a loss by one number; with `last` that of the last of two stores in a row alone."""
-    swing, power = dataset.swing, FORMS[form]
+    swing, power = dataset.swing, FORMS.get(form, math.inf)
     starts = [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
@@ -131,7 +143,9 @@ def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
 
 
 def excess(b: float, power: float) -> tuple[Curve, Curve]:
-    """Return `w - h(w)`, which is added to the input, and its slope."""
+    """Return `w - h(w)`, which is added to the input, and its slope; that of an infinite power is exponential."""
+    if math.isinf(power):
+        return _exponential_excess(2.0 * b)
     level = (power - 1.0) / (2.0 * b)
 
     def filled(w: FloatArray) -> FloatArray:
@@ -147,3 +161,13 @@ def excess(b: float, power: float) -> tuple[Curve, Curve]:
         return result
 
     return added, slope
+
+
+def _exponential_excess(b: float) -> tuple[Curve, Curve]:
+    """Return `w - (e^{b w} - 1)/b` and its slope."""
+
+    def exponent(w: FloatArray) -> FloatArray:
+        result: FloatArray = np.minimum(b * w, LARGEST_EXPONENT)
+        return result
+
+    return lambda w: w - np.expm1(exponent(w)) / b, lambda w: -np.expm1(exponent(w))
