@@ -22,12 +22,13 @@ from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
-from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, refined, within
+from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, SAME, refined, within
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
@@ -41,12 +42,16 @@ TIMES = (
 )
 """Tried around a period, in those by which its phase turns a quarter over half of the record, and around a phase, in
 periods; ever nearer."""
+AGAIN = 3
+"""How often updates, or steps, are searched for again from the process that the ones before leave."""
 STEPS = (np.linspace(-0.006, 0.006, 61), np.linspace(-0.003, 0.003, 61), np.linspace(-0.0006, 0.0006, 31))
 """Tried around a step, in it: far from where they count from, a small error of the step is a large one of its level."""
 
 
-def with_positions(context: FitContext, base: Base) -> list[Fitted]:
+def with_positions(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
     """Return the process with updates at even times and with steps; none where no controller moves the output.
+
+    Steps are looked for beside a straight drift, too: with it and without them, the process is far off.
 
     Returns
     -------
@@ -56,11 +61,39 @@ def with_positions(context: FitContext, base: Base) -> list[Fitted]:
     if not context.dataset.in_loop:
         return []
     origins = list({id(o): o for o in (base.best, *base.origins[:1])}.values())
+    drifts = [e for e in effects if e.name == "drift" and not e.form]
+    drifting = [
+        fit(replace(o.problem, effects=(e,), rows=context.coarse), o.theta, COARSE_STEPS)
+        for e in drifts
+        for o in origins
+    ]
     found = []
-    for beside, around in ((_with_updates, _times_around), (_with_steps, _steps_around)):
-        nearest = closest_first(c for o in within(context.dataset.budget, origins) for c in beside(context, o))
+    for beside, around, of in (
+        (_with_updates, _times_around, origins),
+        (_with_steps, _steps_around, origins),
+        (_with_steps, _steps_around, drifting),
+    ):
+        nearest = closest_first(c for o in within(context.dataset.budget, of) for c in beside(context, o))
+        nearest = closest_first([*nearest, *_from_their_process(context, nearest, beside)])
         found += [_in_detail(c, around) for c in nearest[:FOLLOWED] if c.rms < NEARER * base.best.rms]
     return [c for c in (refined(context, f) for f in found) if is_physical(c)]
+
+
+def _from_their_process(
+    context: FitContext, nearest: Sequence[Fitted], beside: Callable[[FitContext, Fitted], list[Fitted]]
+) -> list[Fitted]:
+    """Return what is found again from the process beside the nearest: the one alone may be far from it."""
+    found: list[Fitted] = []
+    for _ in range(AGAIN):
+        if not nearest or context.dataset.budget.spent:
+            break
+        *others, last = nearest[0].problem.effects
+        left = nearest[0].theta[: -len(last.searched)]
+        again = closest_first(beside(context, fit(replace(nearest[0].problem, effects=tuple(others)), left, 0)))
+        if not again or SAME * again[0].rms >= nearest[0].rms:
+            break
+        nearest, found = again, [*found, *again]
+    return found
 
 
 def _with_updates(context: FitContext, origin: Fitted) -> list[Fitted]:
@@ -79,7 +112,7 @@ def _with_steps(context: FitContext, origin: Fitted) -> list[Fitted]:
     found = []
     for form, grids in step_grids_in_loop(origin).items():
         effect = quantisation(context.dataset, form, grids)
-        problem = replace(origin.problem, effects=(effect,), rows=context.coarse)
+        problem = replace(origin.problem, effects=(*origin.problem.effects, effect), rows=context.coarse)
         thetas = [np.array([*origin.theta, *grid]) for grid in grids]
         found += [fit(problem, theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for theta in thetas]
     return found

@@ -256,7 +256,12 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
     late += [*with_process_beside_wave(context, base, effects), *with_slow_or_switched_output(context, base, effects)]
     late += with_curve_in_loop(context, base, effects)
     late += with_curve_beside_a_load(context, base, effects)
-    return [*friction, *with_process_friction(context, base.best), *late, *with_positions(context, base)], False
+    return [
+        *friction,
+        *with_process_friction(context, base.best),
+        *late,
+        *with_positions(context, base, effects),
+    ], False
 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
