@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput
 
@@ -48,10 +49,8 @@ COINCIDENCE, FEW_MOVES = 0.1, 10
 moves for which a response is not separated from other events."""
 MOMENTS, LASTING = (0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75), (0.08, 0.2)
 """Starts of moments and durations, as shares of the record."""
-SHARES: FloatArray = (np.arange(20, dtype=np.float64) + 0.5) / 20.0
-"""Middles of the equal steps in which a load that ramps or settles is written, as shares of it."""
-SETTLED = 10.0
-"""Time constants after which a load that settles has come."""
+SHARES: FloatArray = (np.arange(40, dtype=np.float64) + 0.5) / 40.0
+"""Middles of the equal steps in which a load that ramps is written, as shares of it."""
 
 
 def free_forms(dataset: Dataset) -> tuple[Effect, ...]:
@@ -187,21 +186,18 @@ def _pulse(dataset: Dataset) -> Effect:
 
 
 def _ramp(dataset: Dataset) -> Effect:
-    return _load_in_steps(dataset, "ramp", "rises_over_s", SHARES)
+    def shape(begins: float, lasts: float) -> _Held:
+        return np.concatenate(([0.0], begins + lasts * SHARES)), np.concatenate(([0.0], SHARES + SHARES[0]))
+
+    return _lasting_load(dataset, "ramp", "rises_over_s", shape)
 
 
 def _settling(dataset: Dataset) -> Effect:
-    approach = -np.log1p(-SHARES * (1.0 - math.exp(-SETTLED)))
-    return _load_in_steps(dataset, "settling", "time_constant_s", approach)
-
-
-def _load_in_steps(dataset: Dataset, form: str, duration: str, at: FloatArray) -> Effect:
-    """Return a load that comes in equal steps, at times after its begin in its durations."""
-
     def shape(begins: float, lasts: float) -> _Held:
-        return np.concatenate(([0.0], begins + lasts * at)), np.concatenate(([0.0], SHARES + SHARES[0]))
+        held = lagged(HeldInput(np.array([0.0, begins]), np.array([0.0, 1.0])), lasts)
+        return held.times, held.levels
 
-    return _lasting_load(dataset, form, duration, shape)
+    return _lasting_load(dataset, "settling", "time_constant_s", shape)
 
 
 def _there_and_back(dataset: Dataset) -> Effect:

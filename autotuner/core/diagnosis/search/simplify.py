@@ -60,8 +60,9 @@ NEARBY, AWAY = (-3, -2, -1, 1, 2, 3), (-0.05, -0.03, -0.02, -0.01, -0.005, 0.005
 """Other moments that are tried, in samples and in records away."""
 BEST_MOMENTS = 3
 """Of these, the number from which a fit begins."""
-STRONG = 10.0
-"""Improvement required of a drift shaped like the response: very strong evidence (Kass, Raftery 1995)."""
+POSITIVE, STRONG = 2.0, 10.0
+"""Improvement required of another form with as many numbers, and of a drift shaped like the response: positive and
+very strong evidence (Kass, Raftery 1995)."""
 FLAT = 0.05
 """Ratio of two gains of an actuator under which the smaller one is zero."""
 MUCH_LARGER = 1.4
@@ -142,7 +143,8 @@ def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
         ]
         if tried:
             closest = closest_first(tried)[0]
-            chosen = _plainer(context, chosen, fit(replace(closest.problem, rows=context.fine), closest.theta))
+            other = fit(replace(closest.problem, rows=context.fine), closest.theta)
+            chosen = _plainer(context, chosen, other, 0.0 if other.size < chosen.size else -POSITIVE)
     return chosen
 
 
