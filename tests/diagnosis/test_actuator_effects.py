@@ -9,6 +9,7 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autotuner.core.diagnosis.effects.actuator.characteristics import characteristics
 from autotuner.core.diagnosis.effects.actuator.friction import (
     backlash,
     friction_effects,
@@ -19,6 +20,7 @@ from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, rou
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     actuator_effects,
+    approached,
     positioned,
     quantisation,
     rate_limit,
@@ -33,6 +35,7 @@ from autotuner_sim import (
     ActuatorHold,
     Backlash,
     DirectionGain,
+    EqualPercentage,
     HeStiction,
     KanoStiction,
     OutputQuantisation,
@@ -137,13 +140,65 @@ def test_a_positioner_is_that_of_a_general_solver(rate, lag_s):
     assert behind_it == pytest.approx(exact, abs=0.01 * np.ptp(u))
 
 
+@pytest.mark.parametrize(("rate", "lag_s"), [(2.0, 0.5), (3.0, 2.0), (0.4, 4.0), (50.0, 3.0)])
+def test_a_soft_limit_of_the_rate_is_that_of_a_general_solver(rate, lag_s):
+    u = np.repeat([0.0, 6.0, -4.0, -3.5, 5.0, 0.0], 6)
+
+    def f(t, x):
+        return [rate * math.tanh((u[min(int(t), u.size - 1)] - x[0]) / (rate * lag_s)), (x[0] - x[1]) / 3.0]
+
+    t = np.arange(1.0, u.size, 0.5)
+    exact = scipy.integrate.solve_ivp(f, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=0.01, rtol=1e-8).y[1]
+    behind_it = Lag(3.0).forced(approached(held(u), rate, lag_s), t)[0][0]
+    assert behind_it == pytest.approx(exact, abs=0.003 * np.ptp(u))
+
+
 @QUICK
-@given(levels, st.floats(0.05, 30.0), st.floats(0.1, 20.0))
-def test_a_positioner_is_mirrored_and_ends_between_its_commands(u, rate, lag_s):
-    there, mirrored = positioned(held(u), rate, lag_s), positioned(held(-u), rate, lag_s)
+@given(levels, st.floats(0.05, 30.0), st.floats(0.1, 20.0), st.sampled_from([positioned, approached]))
+def test_a_positioner_is_mirrored_and_ends_between_its_commands(u, rate, lag_s, moved):
+    there, mirrored = moved(held(u), rate, lag_s), moved(held(-u), rate, lag_s)
     assert mirrored.levels == pytest.approx(-there.levels, abs=1e-9)
     assert np.all(np.diff(there.times) >= 0.0)
     assert u.min() - 1e-9 <= there.levels.min() <= there.levels.max() <= u.max() + 1e-9
+
+
+CHARACTERISTICS = [
+    ("power", (1.8,), PowerLaw(1.8), OUTPUT0 / 1.8 * (100.0 / OUTPUT0) ** 1.8),
+    ("equal percentage", (math.log(20.0) * SWING / 100.0,), EqualPercentage(20.0), 100.0 / math.log(20.0) * 20.0**0.6),
+]
+"""Form, its number, the simulator's actuator, which ends at 1, and what makes its slope at rest one."""
+
+
+@pytest.mark.parametrize(("form", "p", "valve", "slope"), CHARACTERISTICS)
+def test_a_characteristic_is_the_simulators(form, p, valve, slope):
+    u = np.array([0.0, 8.0, -8.0, 3.0])
+    dataset = dataset_of(record(LAG, np.repeat(u, 15)))
+    curve = of_form(characteristics(dataset), f"static_nonlinearity:{form}")
+    expected = [slope * (valve.curve(OUTPUT0 + v) - valve.curve(OUTPUT0)) for v in u]
+    assert curve.position(held(u), p, dataset).levels == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("form", "p"),
+    [("power", (1.8,)), ("equal percentage", (-0.7,)), ("equal percentage", (0.0,)), ("S-shaped", (0.6, 0.4))],
+)
+def test_a_characteristic_has_slope_one_at_rest_and_sizes_of_the_closest_cubic(form, p):
+    dataset = dataset_of(record(LAG, moves()))
+    curve = of_form(characteristics(dataset), f"static_nonlinearity:{form}")
+    small = 1e-6
+    assert curve.position(held([0.0, small]), p, dataset).levels[1] == pytest.approx(small, rel=1e-5)
+    u = np.linspace(-8.0, 8.0, 101)
+    x = curve.position(held([0.0, *u]), p, dataset).levels[1:]
+    sizes = curve.sizes(p, (), 1.0)
+    cubic = sizes["slope_at_rest"] * u + sizes["curvature"] * u**2 + sizes["third"] * u**3
+    for nearby in (0.99, 1.01):
+        assert np.sum((x - cubic) ** 2) <= np.sum((x - nearby * cubic) ** 2)
+
+
+def test_an_output_from_zero_has_no_power():
+    recording = record(LAG, moves())
+    below = type(recording)(recording.t, recording.output - OUTPUT0, recording.pv)
+    assert {e.form for e in characteristics(dataset_of(below))} == {"equal percentage", "S-shaped"}
 
 
 def test_a_quick_actuator_follows_at_once():

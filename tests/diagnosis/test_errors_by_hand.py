@@ -325,7 +325,7 @@ def test_what_the_output_does_is_no_correction_of_a_large_drift(first, second, e
 
 def beside_a_free_load(context, *errors, size=3):
     model = model_of(context, COURSE, by_parts(*errors, 0.0), size=size)
-    effects = tuple(SimpleNamespace(reads_as=reads_as, key="") for reads_as in ("ambient", None))
+    effects = tuple(SimpleNamespace(reads_as=reads_as, key="", rank=0) for reads_as in ("ambient", None))
     return replace(model, problem=replace(model.problem, effects=effects))
 
 

@@ -106,17 +106,23 @@ def test_it_is_named_on_a_record_of_steps():
     assert pytest.approx(8.0, rel=0.03) == found.process.D
 
 
+@pytest.mark.parametrize("lasts_s", [0.0, 12.0])
 @pytest.mark.parametrize("ratio", [0.4, 1.0, 2.5])
-def test_a_dead_time_that_jumps_is_that_of_a_pipe_whose_flow_jumps(ratio):
+def test_a_dead_time_that_jumps_is_that_of_a_pipe_whose_flow_jumps(ratio, lasts_s):
     """By root finding, as above: the flow over (t - L, t) is the volume of the pipe, here 9 s at the first flow."""
     random = np.random.default_rng(5)
     at = np.cumsum(random.uniform(1.0, 6.0, 30))
     held, at_s = HeldInput(np.append(0.0, at), np.arange(31.0)), 50.0
 
-    def passed(t):
-        return min(t, at_s) + max(t - at_s, 0.0) / ratio
+    def flow(t):
+        way = 1.0 if lasts_s == 0.0 else min((t - at_s) / lasts_s, 1.0)
+        return 1.0 if t < at_s else 1.0 + way * (1.0 / ratio - 1.0)
 
-    arrived = carried_since(held, at_s, ratio, 9.0)
+    def passed(t):
+        corners = [at_s, at_s + lasts_s]
+        return scipy.integrate.quad(flow, 0.0, t, points=corners, epsabs=1e-10)[0]
+
+    arrived = carried_since(held, at_s, ratio, 9.0, lasts_s)
     assert np.all(np.diff(arrived.times) > 0.0)
     for t in random.uniform(15.0, at[-1], 40):
         lag = scipy.optimize.brentq(lambda L, t=t: passed(t) - passed(t - L) - 9.0, 0.0, 60.0, xtol=1e-10)

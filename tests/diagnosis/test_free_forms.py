@@ -262,9 +262,10 @@ def test_a_drift_that_bends_is_named_and_predicts(among):
     output, t = steps(), np.arange(float(N))
     states = integrated(lambda x, u, _t: (2.0 * u - x) / 15.0, output, [0.0])
     found = diagnose(recorded(output, states[:, 0] + 6.0 * (t / N) ** 2.6, 0.05))
-    assert [(effect.name, effect.form) for effect in found.effects] == [("drift", "curved")]
+    assert [(effect.name, effect.form) for effect in found.effects] == [("drift", "accelerating")]
     assert found.effects[0].parameters["pv_in_all"] == pytest.approx(6.0 * 0.675**2.6, rel=0.05)  # of the fitted part
-    assert found.error["held_out"].after < 1.5 * 0.05
+    assert found.effects[0].parameters["power"] == pytest.approx(2.6, rel=0.05)
+    assert found.error["held_out"].after < 1.1 * 0.05
 
 
 def test_dry_friction_of_an_axis_is_named_on_the_process_side():

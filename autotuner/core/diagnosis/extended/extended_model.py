@@ -316,9 +316,13 @@ def apart(
     return found
 
 
-def plainness(candidate: Fitted) -> tuple[float, tuple[str, ...]]:
-    """Return the tie-break of explanations with the same misfit: number of parameters and penalty, then names."""
-    return candidate.size + candidate.price, tuple(effect.key for effect in candidate.problem.effects)
+def plainness(candidate: Fitted) -> tuple[float, tuple[int, ...], tuple[str, ...]]:
+    """Return the tie-break of explanations with the same misfit: number of parameters and penalty, then place and name.
+
+    A limit of the output comes before a curve of the valve: what is nearer to the output is looked at first.
+    """
+    effects = candidate.problem.effects
+    return candidate.size + candidate.price, tuple(e.rank for e in effects), tuple(e.key for e in effects)
 
 
 def closest_first(fits: Iterable[Fitted]) -> list[Fitted]:
