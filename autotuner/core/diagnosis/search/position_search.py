@@ -61,22 +61,24 @@ def with_positions(context: FitContext, base: Base, effects: Sequence[Effect]) -
     if not context.dataset.in_loop:
         return []
     origins = list({id(o): o for o in (base.best, *base.origins[:1])}.values())
-    drifts = [e for e in effects if e.name == "drift" and not e.form]
-    drifting = [
-        fit(replace(o.problem, effects=(e,), rows=context.coarse), o.theta, COARSE_STEPS)
-        for e in drifts
-        for o in origins
-    ]
     found = []
     for beside, around, of in (
         (_with_updates, _times_around, origins),
         (_with_steps, _steps_around, origins),
-        (_with_steps, _steps_around, drifting),
+        (_with_steps, _steps_around, _with_drift(context, origins, effects)),
     ):
         nearest = closest_first(c for o in within(context.dataset.budget, of) for c in beside(context, o))
         nearest = closest_first([*nearest, *_from_their_process(context, nearest, beside)])
         found += [_in_detail(c, around) for c in nearest[:FOLLOWED] if c.rms < NEARER * base.best.rms]
     return [c for c in (refined(context, f) for f in found) if is_physical(c)]
+
+
+def _with_drift(context: FitContext, origins: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
+    """Return the processes beside a straight drift where that is closer."""
+    drifts = [e for e in effects if e.name == "drift" and not e.form]
+    pairs = [(o, replace(o.problem, effects=(e,), rows=context.coarse)) for e in drifts for o in origins]
+    drifting = [(o, fit(problem, o.theta, COARSE_STEPS)) for o, problem in pairs]
+    return [beside for o, beside in drifting if SAME * beside.rms < o.rms]
 
 
 def _from_their_process(

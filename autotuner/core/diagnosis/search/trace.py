@@ -247,21 +247,16 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
     """Return effects that are searched with a process of their own, and whether one of them leaves only noise."""
-    friction: list[Fitted] = []
-    for search in (with_friction, with_friction_beside_a_load):
-        friction += search(context, base, effects)
-        if any(is_noise(context, candidate) for candidate in friction):
-            return friction, True
+    found: list[Fitted] = []
+    for search in (with_friction, with_friction_beside_a_load, with_positions):
+        found += search(context, base, effects)
+        if any(is_noise(context, candidate) for candidate in found):
+            return found, True
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     late += [*with_process_beside_wave(context, base, effects), *with_slow_or_switched_output(context, base, effects)]
     late += with_curve_in_loop(context, base, effects)
     late += with_curve_beside_a_load(context, base, effects)
-    return [
-        *friction,
-        *with_process_friction(context, base.best),
-        *late,
-        *with_positions(context, base, effects),
-    ], False
+    return [*found, *with_process_friction(context, base.best), *late], False
 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
