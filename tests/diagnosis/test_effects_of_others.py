@@ -107,10 +107,14 @@ def test_the_kit_says_what_is_wrong(announce):
     def changed(**fields):
         return replace(plugin, make=lambda dataset, base: [replace(e, **fields) for e in plugin.make(dataset, base)])
 
+    def with_other_form(dataset, base):
+        return [replace(e, other_forms=(replace(e, name="other"),)) for e in plugin.make(dataset, base)]
+
     def wrong(plugin: EffectPlugin):
         return " ".join(check_effect(plugin))
 
     assert "named other" in wrong(changed(name="other"))
+    assert "named other" in wrong(replace(plugin, make=with_other_form))
     assert "outside of the bounds" in wrong(changed(starts=[(0.9,)]))
     assert "one value for each" in wrong(changed(starts=[(0.1, 0.2)]))
     assert "not finite" in wrong(changed(sizes=lambda *_: {"share": float("nan")}))

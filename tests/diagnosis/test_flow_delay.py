@@ -157,7 +157,8 @@ def test_a_dead_time_that_jumps_is_named(ratio, among):
 
 def test_a_dead_time_that_jumps_conforms():
     def make(dataset, _base):
-        return [replace(dead_time_jump(dataset), name="line")]
+        jump = dead_time_jump(dataset)
+        return [replace(form, name="line", other_forms=()) for form in (jump, *jump.other_forms)]
 
     assert check_effect(EffectPlugin("line", make, "{later_over_first:.3g} times")) == []
 

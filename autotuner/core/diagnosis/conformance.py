@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,7 +49,7 @@ def check_effect(plugin: EffectPlugin) -> list[str]:
     forms = list(plugin.make(base.problem.dataset, base))
     if not forms:
         wrong.append("make returns no form for a record of steps")
-    for form in forms:
+    for form in chain(forms, *(form.other_forms for form in forms)):
         wrong += [f"{plugin.name} {form.form}: {fault}".replace(" :", ":") for fault in _of_form(plugin, form, base)]
     return wrong
 

@@ -152,7 +152,8 @@ class Effect:
     blur : callable, optional
         From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
     other_forms : tuple of Effect
-        Forms that are tried in its place once it was found: a search does not need them to come to its name.
+        Forms of the same name, or of another one for the same physics, that are tried in its place once it was found:
+        a search does not need them to come to it. Numbers of the same name begin where they were found.
     next_terms : tuple of Effect
         The effect with a next term of its series, each: `searched` or `columns` have one more at their end. They are
         never reported, but show what the form leaves open.

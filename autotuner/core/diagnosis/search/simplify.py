@@ -148,15 +148,13 @@ def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
     return chosen
 
 
-def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[Sequence[float]]:
-    """Return where the search of another form begins: with the numbers of that name, and its own starts of the rest."""
-    known = dict(zip([s.name for s in effect.searched], _values_of(chosen, effect), strict=True))
-    new = [s.name for s in form.searched if s.name not in known]
-    if not new:
-        return [[known[s.name] for s in form.searched]]
-    if len(form.starts[0]) == len(form.searched):
-        return list(form.starts)
-    return [[{**known, **dict(zip(new, start, strict=True))}[s.name] for s in form.searched] for start in form.starts]
+def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[float, ...]]:
+    """Return the starts of another form, with what was found for numbers of the same name; a choice is left open."""
+    known = {s.name: value for s, value in zip(effect.searched, _values_of(chosen, effect), strict=True) if s.step}
+    starts = (
+        tuple(known.get(s.name, value) for s, value in zip(form.searched, start, strict=True)) for start in form.starts
+    )
+    return list(dict.fromkeys(starts))
 
 
 def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

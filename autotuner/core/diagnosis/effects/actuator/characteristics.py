@@ -58,7 +58,7 @@ def characteristics(dataset: Dataset) -> tuple[Effect, ...]:
         return position
 
     s_starts = [(middle, width) for middle in MIDDLES for width in WIDTHS]
-    about = (Searched("middle", -0.5, 1.5, 1e-4), Searched("width", 0.1, 5.0, 1e-4))
+    about = (Searched("middle", -0.5, 1.5, 1e-4), Searched("spread", 0.1, 5.0, 1e-4))
     above_zero = rest > 0.0 and rest + low > 0.0
     return (
         *([_curve(dataset, "power", (Searched("n", 0.2, 5.0, 1e-4),), power, POWERS)] if above_zero else []),

@@ -102,7 +102,7 @@ def dead_time_jump(dataset: Dataset, fewest: int = FEWEST_MOVES) -> Effect:
         form=WITHIN_A_WHILE,
         searched=(*jump.searched, Searched("lasts", 0.0, LONGEST, 1e-4)),
         sizes=lambda p, c, g: {**jump.sizes(p[:2], c, g), "lasts_s": p[2] * span},
-        starts=[(lasts,) for lasts in CHANGES],
+        starts=[(*start, lasts) for start in jump.starts for lasts in CHANGES],
     )
     return replace(jump, other_forms=(slower,))
 
