@@ -176,7 +176,7 @@ def _print(file: Path, diagnosis: Diagnosis, report: Path | None) -> None:
     console = results_console()
     console.print(f"[bold]{file}[/bold]: [bold]{diagnosis.verdict}[/bold]: {diagnosis.summary}")
     for effect in diagnosis.effects:
-        console.print(f"  [bold]{effect.name}[/bold] ({effect.place}), confidence {effect.confidence:.0%}")
+        console.print(f"  [bold]{effect.title}[/bold] ({effect.place}), confidence {effect.confidence:.0%}")
         for name, value in effect.parameters.items():
             interval = effect.interval95.get(name)
             content = "" if interval is None else f"  (95 %: {interval[0]:.4g} to {interval[1]:.4g})"

@@ -104,7 +104,7 @@ def _effect(effect: FoundEffect, units: Units) -> list[list[str]]:
         unit = units.named(effect.units[name])
         interval = with_unit(f"{low:.4g} to {high:.4g}", unit) if math.isfinite(low + high) else ""
         size = with_unit(f"{value:.4g}", unit)
-        rows.append([effect.name, effect.place, _worded(name), size, interval, f"{effect.confidence:.0%}"])
+        rows.append([effect.title, effect.place, _worded(name), size, interval, f"{effect.confidence:.0%}"])
     return rows
 
 

@@ -64,6 +64,11 @@ class FoundEffect:
     at_its_place: float | None = None
 
     @property
+    def title(self) -> str:
+        """Name, and the form where it has several."""
+        return f"{self.name}, {self.form}" if self.form else self.name
+
+    @property
     def units(self) -> dict[str, str]:
         """Units of the sizes, in terms of ``output`` and ``PV``; empty for ratios."""
         return {name: unit_of(self.place, name) for name in self.parameters}

@@ -51,7 +51,7 @@ function found(effect, units, before) {
     return [unit ? `${words(name)}, ${unit}` : words(name), number(value), Number.isFinite(low) && Number.isFinite(high) ? `${number(low)} to ${number(high)}` : "not known"];
   });
   return h("div", { class: "effect", "data-effect": effect.name },
-    h("h3", {}, capital(before + words(effect.name)), " ", h("span", { class: "badge" }, effect.place), " ",
+    h("h3", {}, capital(before + words(effect.name)) + (effect.form ? `, ${effect.form}` : ""), " ", h("span", { class: "badge" }, effect.place), " ",
       Number.isFinite(effect.confidence) ? h("span", { class: "badge" }, `confidence ${number(100 * Math.min(effect.confidence, 0.999), 3)} %`) : null),
     effect.advice ? h("p", {}, `${capital(effect.advice)}.`) : null,
     effect.indistinguishable.length ? h("p", { class: "notice warn" }, `This record cannot tell it from ${effect.indistinguishable.map(words).join(", ")}.`) : null,
