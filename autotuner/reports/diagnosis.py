@@ -72,7 +72,7 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
     drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces, units)]
     drawn += _loop(diagnosis, units)
     changed = diagnosis.gains.get("before") != diagnosis.gains.get("after")
-    models = [_models(diagnosis, units), _gains(diagnosis, units)] if changed or not of_a_tuning else []
+    models = [_models(diagnosis, units), *_gains(diagnosis, units)] if changed or not of_a_tuning else []
     return [
         Section("Effects missing in the model", [*summary, *notes]),
         *effects,
@@ -151,14 +151,14 @@ def _parameter(name: str, structure: str, units: Units) -> str:
     return name if name == "structure" else named(name, parameter_unit(name, structure, units.pv, units.output))
 
 
-def _gains(diagnosis: Diagnosis, units: Units) -> Grid:
-    """Return the gains of the requested design, with calmer ones where they are useful."""
+def _gains(diagnosis: Diagnosis, units: Units) -> list[Grid]:
+    """Return the gains of the requested design, with calmer ones where they are useful; nothing without any."""
     columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
     goal_name = str(next((entry["goal"] for entry in columns.values() if "goal" in entry), ""))
     names = [name for name in {name: None for entry in columns.values() for name in entry} if name != "goal"]
     rows = [[_quantity(name, units), *(_shown(entry.get(name)) for entry in columns.values())] for name in names]
     heads = [f"after, {entry['goal']}" if when == "calmer" else when for when, entry in columns.items()]
-    return Grid(f"Requested gains ({goal_name}) and margins", ("", *heads), rows)
+    return [Grid(f"Requested gains ({goal_name}) and margins", ("", *heads), rows)] if rows else []
 
 
 def _loop(diagnosis: Diagnosis, units: Units) -> list[Section]:

@@ -12,12 +12,14 @@ from autotuner.core.design.gains import PidGains
 from autotuner.core.diagnosis.extended.extended_model import Extended, fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of, thinned
 from autotuner.core.diagnosis.findings.gain_comparison import (
+    NOMINAL,
     Design,
     Known,
     both_gains,
     calmer_note,
     lasts_s,
     missing_note,
+    unsolved_note,
 )
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.diagnosis.findings.sensor_effects import outside_free
@@ -140,6 +142,15 @@ def test_a_process_without_gains_says_so():
     assert missing_note(both_gains(Known(PLANT), Known(PLANT), (PLAY,), DATASET), (PLAY,)) == []
     assert missing_note({"before": None, "after": None}, (second,)) == []
     assert missing_note(shown, ()) == []
+
+
+def test_a_process_without_dead_time_says_why_it_has_no_gains():
+    quick = Known(Fopdt(2.0, 10.0, 0.0))
+    shown = both_gains(quick, quick, (), DATASET)
+    assert shown == {"before": None, "after": None}
+    (words,) = unsolved_note(shown, quick, NOMINAL)
+    assert "nothing limits the gain" in words
+    assert unsolved_note(both_gains(Known(PLANT), Known(PLANT), (), DATASET), Known(PLANT), NOMINAL) == []
 
 
 @pytest.mark.parametrize(("model", "expected"), [

@@ -70,6 +70,8 @@ def by_goal(goal: str, calmer: Design | None = None) -> Design:
 NOMINAL = by_goal(GOAL, by_goal(CALMER))
 STEP = 0.3
 """Size of the steps: of the set point in gains times the output's swing, of the load in swings."""
+NO_DESIGN = (AutotunerError, ValueError, ArithmeticError)
+"""What a design raises for a model that it has no gains for."""
 LASTS = 25.0
 """Length of a response, in sums of lags and dead time."""
 
@@ -166,7 +168,7 @@ def _gains(known: Known, loop: _Loop, requested: Design, own: PidGains | None = 
     """Return the gains of a design, which may be known as `own`, and their response; None without any."""
     try:
         return loop.comparison(requested.name, own or requested.choose(known.model, known.covariance), known.model)
-    except (AutotunerError, ValueError, ArithmeticError):
+    except NO_DESIGN:
         return None
 
 
@@ -182,6 +184,17 @@ def missing_note(gains: Mapping[str, Any], effects: Sequence[FoundEffect]) -> li
         return []
     names = " and ".join(effect.name for effect in effects)
     return [f"no gains after: none can be computed for a process with {names}; those before ignore it: watch that loop"]
+
+
+def unsolved_note(gains: Mapping[str, Any], known: Known, requested: Design) -> list[str]:
+    """Return the note on a model that the design has no gains for, with its reason; none where there are some."""
+    if gains.get("before") is not None or gains.get("after") is not None:
+        return []
+    try:
+        requested.choose(known.model, known.covariance)
+    except NO_DESIGN as error:
+        return [f"no gains: {error}"]
+    return []
 
 
 def calmer_note(gains: Mapping[str, Any]) -> list[str]:

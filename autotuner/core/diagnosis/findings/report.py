@@ -27,7 +27,14 @@ from autotuner.core.diagnosis.findings.doubts import (
     doubts_about_readings,
 )
 from autotuner.core.diagnosis.findings.errors_by_part import Errors
-from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL, Known, both_gains, calmer_note, missing_note
+from autotuner.core.diagnosis.findings.gain_comparison import (
+    NOMINAL,
+    Known,
+    both_gains,
+    calmer_note,
+    missing_note,
+    unsolved_note,
+)
 from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, verdict_of
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
@@ -133,6 +140,7 @@ def reported(
         *_notes(context, found, sensor, effects, error, model),
         *calmer_note(gains),
         *missing_note(gains, effects),
+        *([] if gains is NO_GAINS else unsolved_note(gains, after, requested)),
         *([*doubts, HYPOTHESES] if effects and not kept else ()),
         *_of_the_errors(error["held_out"], coloured),
         *([f"no gains: {barred}"] if barred else ()),
