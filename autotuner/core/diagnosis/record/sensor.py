@@ -42,6 +42,10 @@ COARSE = 0.8
 """Noise of the grid over the other noise from which the grid is named."""
 STANDING = 0.5
 """Share of repeated values from which a sensor is taken to report changes only."""
+STANDING_BUT_MOVING = 0.2
+"""The same where every value is the PV's own and no move is small: the PV moves at most samples."""
+LEAST_MOVE, CLEAR_MOVE = 0.2, 0.5
+"""Smallest move over the usual one from which moves are those of a sensor that reports changes; the second for that."""
 OWN_VALUES = 0.8
 """Different values over changes of the reading from which a sensor sends what it measures: on a grid they repeat."""
 FEWEST_NEW, FEWEST_ELSEWHERE = 20, 6
@@ -224,13 +228,14 @@ def grid_of(pv: FloatArray) -> Grid | None:
 def _on_change(pv: FloatArray) -> Grid | None:
     moves = np.abs(np.diff(pv))
     moved = moves[moves > 0.0]
-    if not moved.size or np.mean(moves == 0.0) < STANDING:
+    repeated = float(np.mean(moves == 0.0))
+    if not moved.size or repeated < STANDING_BUT_MOVING:
         return None
-    step = float(np.quantile(moved, 0.03))
-    if step <= 0.2 * float(np.median(moved)):
-        return None
+    step, usual = float(np.quantile(moved, 0.03)), float(np.median(moved))
     sends = np.unique(pv).size > max(OWN_VALUES * moved.size, 2.0)
-    return Grid(step, step, rounded=False, sends=sends)
+    is_clear = sends and step > CLEAR_MOVE * usual
+    known = is_clear or (repeated >= STANDING and step > LEAST_MOVE * usual)
+    return Grid(step, step, rounded=False, sends=sends) if known else None
 
 
 def new_readings(pv: FloatArray) -> BoolArray:
