@@ -116,7 +116,7 @@ def test_a_dead_time_that_jumps_is_that_of_a_pipe_whose_flow_jumps(ratio, lasts_
 
     def flow(t):
         way = 1.0 if lasts_s == 0.0 else min((t - at_s) / lasts_s, 1.0)
-        return 1.0 if t < at_s else 1.0 + way * (1.0 / ratio - 1.0)
+        return 1.0 if t < at_s else 1.0 / (1.0 + way * (ratio - 1.0))
 
     def passed(t):
         corners = [at_s, at_s + lasts_s]

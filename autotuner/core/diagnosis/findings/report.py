@@ -138,9 +138,7 @@ def reported(
         *([TIME_SPENT] if cut else ()),
         *([f"this record is blind to {'; '.join(spot.words for spot in blind)}"] if blind else []),
         *_notes(context, found, sensor, effects, error, model),
-        *calmer_note(gains),
-        *missing_note(gains, effects),
-        *([] if gains is NO_GAINS else unsolved_note(gains, after, requested)),
+        *_of_the_gains(gains, effects, after, requested),
         *([*doubts, HYPOTHESES] if effects and not kept else ()),
         *_of_the_errors(error["held_out"], coloured),
         *([f"no gains: {barred}"] if barred else ()),
@@ -227,6 +225,14 @@ def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
     if coloured is not None:
         notes.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
     return notes
+
+
+def _of_the_gains(
+    gains: dict[str, object], effects: Sequence[FoundEffect], known: Known, requested: Design
+) -> list[str]:
+    """Return the notes on the gains, and on why there are none."""
+    unsolved = [] if gains is NO_GAINS else unsolved_note(gains, known, requested)
+    return [*calmer_note(gains), *missing_note(gains, effects), *unsolved]
 
 
 def _is_refuted(held: Misfit) -> bool:

@@ -9,7 +9,8 @@ time at the first flow, a position that is taken at `t_i` leaves the pipe at
 
 `Q` is straight between two moves, so that this is exact. Where the flow changes from `q0` to `q0/r` at a time `t*`, the
 dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`. Where it does so evenly within a while
-`W`, with `s = t - t*`:  `Q = t* + s - a s^2`  up to `s = W`, `a = (1 - 1/r)/(2 W)`, and straight from there.
+`W`, the flow falls to `q0/(1 + k s)`, with `s = t - t*` and `k = (r - 1)/W`:  `Q = t* + ln(1 + k s)/k`  up to `s = W`,
+and straight from there.
 (Zenger and Ylinen, IFAC World Congress 2002; the transport delay of plug flow.)
 """
 
@@ -40,6 +41,8 @@ JUMPS, MOMENTS = (0.4, 0.65, 1.5, 2.3), 12
 """Ratios of the later dead time to the first to begin from, and the number of moments."""
 WITHIN_A_WHILE, LONGEST, CHANGES = "within a while", 0.3, (0.03, 0.1)
 """What a change that lasts is called, its longest time over that of the record, and those to begin from."""
+SAME_FLOW = 1e-9
+"""Relative change of the flow that is the rounding of a double."""
 FEWEST_MOVES = 2
 """Moves of the output on either side of a jump: one move alone may be late for any other reason."""
 STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
@@ -128,15 +131,15 @@ def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float, la
     delay_s : float
         Dead time before it, s.
     lasts_s : float
-        Time within which the flow changes evenly, s.
+        Time within which the dead time of the momentary flow changes evenly, s.
     """
-    bend = (1.0 - 1.0 / ratio) / (2.0 * lasts_s) if lasts_s else 0.0
-    whole = lasts_s * (1.0 + 1.0 / ratio) / 2.0  # what passes within that time
+    k = (ratio - 1.0) / lasts_s if lasts_s and abs(ratio - 1.0) > SAME_FLOW else 0.0
+    whole = math.log(ratio) / k if k else lasts_s  # what passes within that time
     since = np.clip(held.times - at_s, 0.0, lasts_s)
     later = np.maximum(held.times - at_s - lasts_s, 0.0)
-    passed = np.minimum(held.times, at_s) + since * (1.0 - bend * since) + later / ratio + delay_s
+    passed = np.minimum(held.times, at_s) + (np.log1p(k * since) / k if k else since) + later / ratio + delay_s
     within = np.clip(passed - at_s, 0.0, whole)
-    took = 2.0 * within / (1.0 + np.sqrt(np.maximum(1.0 - 4.0 * bend * within, 0.0)))
+    took = np.expm1(k * within) / k if k else within
     times = np.minimum(passed, at_s) + took + np.maximum(passed - at_s - whole, 0.0) * ratio - delay_s
     return _arriving(held, times)
 

@@ -43,6 +43,8 @@ EXPONENTIAL, LARGEST_EXPONENT = "exponential", 30.0
 """Form that is tried in place of another one, and exponent beyond which no store of a record is."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
+STARTS, TRIED = (-0.5, -0.2, 0.2, 0.5, 1.0), (-0.2, 0.5)
+"""Numbers of a loss to begin from, over the swing: in a search, and in place of another loss."""
 RINGS = 2.0
 """`n^2/m` under which a pair of poles rings: a damping ratio of 0.7."""
 SLOW_LAST, WHICH = Searched("slow_last", 0.0, 1.0, 0.0), (0.0, 1.0)
@@ -59,18 +61,17 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion, Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    everywhere = (*(_loss(dataset, form) for form in FORMS), free)
-    if rings:
-        return everywhere
-    alone = (_cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END))
-    return (
-        *(_or_exponential(e, _loss(dataset, EXPONENTIAL)) for e in everywhere),
-        *(_or_exponential(e, _loss(dataset, EXPONENTIAL, last=True)) for e in alone),
-    )
+    laws = [_loss(dataset, form) for form in FORMS]
+    at_the_end = [_loss(dataset, form, last=True) for form in AT_THE_END]
+    every = [*laws, free] if rings else [*laws, free, _cubic(dataset, base, last=True), *at_the_end]
+    others = [*laws, _loss(dataset, EXPONENTIAL)]
+    others += [] if rings else [*at_the_end, _loss(dataset, EXPONENTIAL, last=True)]
+    return tuple(replace(e, other_forms=tuple(_briefly(o) for o in others if o.form != e.form)) for e in every)
 
 
-def _or_exponential(effect: Effect, exponential: Effect) -> Effect:
-    return replace(effect, other_forms=(exponential,))
+def _briefly(law: Effect) -> Effect:
+    """Return a loss with few starts: it is tried where another one was found."""
+    return replace(law, starts=[start for start in law.starts if start[-1] in TRIED])
 
 
 def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
@@ -121,7 +122,7 @@ def _power_law(a: float, b: float, c: float) -> tuple[Curve, Curve]:
 def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
     """Return a loss by one number; with `last` that of the last of two stores in a row alone."""
     swing, power = dataset.swing, FORMS.get(form, math.inf)
-    starts = [(-0.5,), (-0.2,), (0.2,), (0.5,), (1.0,)]
+    starts = [(start,) for start in STARTS]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
         b = p[-1] / swing
