@@ -43,6 +43,8 @@ EXPONENTIAL, LARGEST_EXPONENT = "exponential", 30.0
 """Form that is tried in place of another one, and exponent beyond which no store of a record is."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
+LOSS = "loss"
+"""Name of the one number of a loss."""
 STARTS, TRIED = (-0.5, -0.2, 0.2, 0.5, 1.0), (-0.2, 0.5)
 """Numbers of a loss to begin from, over the swing: in a search, and in place of another loss."""
 RINGS = 2.0
@@ -61,12 +63,17 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion, Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    laws = [_loss(dataset, form) for form in FORMS]
-    at_the_end = [_loss(dataset, form, last=True) for form in AT_THE_END]
-    every = [*laws, free] if rings else [*laws, free, _cubic(dataset, base, last=True), *at_the_end]
-    others = [*laws, _loss(dataset, EXPONENTIAL)]
-    others += [] if rings else [*at_the_end, _loss(dataset, EXPONENTIAL, last=True)]
-    return tuple(replace(e, other_forms=tuple(_briefly(o) for o in others if o.form != e.form)) for e in every)
+    everywhere = _or_by_another_law([*(_loss(dataset, form) for form in FORMS), free], _loss(dataset, EXPONENTIAL))
+    if rings:
+        return everywhere
+    alone = [_cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END)]
+    return (*everywhere, *_or_by_another_law(alone, _loss(dataset, EXPONENTIAL, last=True)))
+
+
+def _or_by_another_law(known: Sequence[Effect], exponential: Effect) -> tuple[Effect, ...]:
+    """Return the losses at one place, in whose place those of one number are tried."""
+    laws = [_briefly(law) for law in (*known, exponential) if law.searched[-1].name == LOSS]
+    return tuple(replace(loss, other_forms=tuple(law for law in laws if law.form != loss.form)) for loss in known)
 
 
 def _briefly(law: Effect) -> Effect:
@@ -133,7 +140,7 @@ def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
     return Effect(
         "nonlinear_loss",
         Place.PROCESS,
-        (*((SLOW_LAST,) if last else ()), Searched("loss", -3.0, 3.0, 1e-4)),
+        (*((SLOW_LAST,) if last else ()), Searched(LOSS, -3.0, 3.0, 1e-4)),
         [(which, *start) for which in WHICH for start in starts] if last else starts,
         lambda p, _c, g: {"loss_per_pv": p[-1] / (swing * g)},
         form=f"{form} {LAST_ALONE}" if last else form,
