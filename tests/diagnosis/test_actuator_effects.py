@@ -20,17 +20,18 @@ from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, rou
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     actuator_effects,
-    approached,
     positioned,
     quantisation,
     rate_limit,
     rate_limited,
+    softly_positioned,
     taken_over,
     updated_every,
 )
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.step_responses import Lag
 from autotuner.core.model.zoh_input import HeldInput
+from autotuner.core.recording import Recording
 from autotuner_sim import (
     ActuatorHold,
     Backlash,
@@ -149,12 +150,12 @@ def test_a_soft_limit_of_the_rate_is_that_of_a_general_solver(rate, lag_s):
 
     t = np.arange(1.0, u.size, 0.5)
     exact = scipy.integrate.solve_ivp(f, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=0.01, rtol=1e-8).y[1]
-    behind_it = Lag(3.0).forced(approached(held(u), rate, lag_s), t)[0][0]
+    behind_it = Lag(3.0).forced(softly_positioned(held(u), rate, lag_s), t)[0][0]
     assert behind_it == pytest.approx(exact, abs=0.003 * np.ptp(u))
 
 
 @QUICK
-@given(levels, st.floats(0.05, 30.0), st.floats(0.1, 20.0), st.sampled_from([positioned, approached]))
+@given(levels, st.floats(0.05, 30.0), st.floats(0.1, 20.0), st.sampled_from([positioned, softly_positioned]))
 def test_a_positioner_is_mirrored_and_ends_between_its_commands(u, rate, lag_s, moved):
     there, mirrored = moved(held(u), rate, lag_s), moved(held(-u), rate, lag_s)
     assert mirrored.levels == pytest.approx(-there.levels, abs=1e-9)
@@ -197,7 +198,7 @@ def test_a_characteristic_has_slope_one_at_rest_and_sizes_of_the_closest_cubic(f
 
 def test_an_output_from_zero_has_no_power():
     recording = record(LAG, moves())
-    below = type(recording)(recording.t, recording.output - OUTPUT0, recording.pv)
+    below = Recording(recording.t, recording.output - OUTPUT0, recording.pv)
     assert {e.form for e in characteristics(dataset_of(below))} == {"equal percentage", "S-shaped"}
 
 

@@ -19,7 +19,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import (
     calmer_note,
     lasts_s,
     missing_note,
-    unsolved_note,
+    no_design_note,
 )
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.diagnosis.findings.sensor_effects import outside_free
@@ -148,9 +148,9 @@ def test_a_process_without_dead_time_says_why_it_has_no_gains():
     quick = Known(Fopdt(2.0, 10.0, 0.0))
     shown = both_gains(quick, quick, (), DATASET)
     assert shown == {"before": None, "after": None}
-    (words,) = unsolved_note(shown, quick, NOMINAL)
+    (words,) = no_design_note(shown, quick, NOMINAL)
     assert "nothing limits the gain" in words
-    assert unsolved_note(both_gains(Known(PLANT), Known(PLANT), (), DATASET), Known(PLANT), NOMINAL) == []
+    assert no_design_note(both_gains(Known(PLANT), Known(PLANT), (), DATASET), Known(PLANT), NOMINAL) == []
 
 
 @pytest.mark.parametrize(("model", "expected"), [

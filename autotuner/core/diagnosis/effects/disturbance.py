@@ -175,8 +175,24 @@ def curved_drift(dataset: Dataset) -> Effect:
     def cubic(x: FloatArray | float) -> FloatArray:
         return np.array([x, np.square(x), np.power(x, 3)])
 
-    until = dataset.fitted_until_s / span
-    power = Effect(
+    return Effect(
+        "drift",
+        Place.DISTURBANCE,
+        (),
+        [()],
+        lambda _p, c, _g: {"pv_in_all": float(np.dot(c, cubic(dataset.fitted_until_s / span)))},
+        form="curved",
+        columns=lambda view, _p: list(cubic(view.t / span)),
+        price=2.0,
+        group="slow",
+        other_forms=(_accelerating_drift(dataset),),
+    )
+
+
+def _accelerating_drift(dataset: Dataset) -> Effect:
+    """Return a drift along a power of time; it has fewer numbers than a cubic, and predicts more."""
+    span, until = dataset.span_s, dataset.fitted_until_s / dataset.span_s
+    return Effect(
         "drift",
         Place.DISTURBANCE,
         (Searched("power", 1.0, MOST_POWER, 1e-4),),
@@ -186,18 +202,6 @@ def curved_drift(dataset: Dataset) -> Effect:
         columns=lambda view, p: [np.power(view.t / span, p[0])],
         price=2.0,
         group="slow",
-    )
-    return Effect(
-        "drift",
-        Place.DISTURBANCE,
-        (),
-        [()],
-        lambda _p, c, _g: {"pv_in_all": float(np.dot(c, cubic(until)))},
-        form="curved",
-        columns=lambda view, _p: list(cubic(view.t / span)),
-        price=2.0,
-        group="slow",
-        other_forms=(power,),
     )
 
 

@@ -186,7 +186,7 @@ def missing_note(gains: Mapping[str, Any], effects: Sequence[FoundEffect]) -> li
     return [f"no gains after: none can be computed for a process with {names}; those before ignore it: watch that loop"]
 
 
-def unsolved_note(gains: Mapping[str, Any], known: Known, requested: Design) -> list[str]:
+def no_design_note(gains: Mapping[str, Any], known: Known, requested: Design) -> list[str]:
     """Return the note on a model that the design has no gains for, with its reason; none where there are some."""
     if gains.get("before") is not None or gains.get("after") is not None:
         return []

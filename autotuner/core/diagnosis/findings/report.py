@@ -33,7 +33,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import (
     both_gains,
     calmer_note,
     missing_note,
-    unsolved_note,
+    no_design_note,
 )
 from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, verdict_of
@@ -75,6 +75,7 @@ OWN_ORDER = "third"
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}
+"""What is reported where no gains were asked of a design."""
 HYPOTHESES = "the effects are hypotheses; model and gains are those of the model without them"
 TIME_SPENT = "the time limit ended the search: the effects are the best so far; give more time for an explanation"
 TEST_FAILS = (
@@ -231,7 +232,7 @@ def _of_the_gains(
     gains: dict[str, object], effects: Sequence[FoundEffect], known: Known, requested: Design
 ) -> list[str]:
     """Return the notes on the gains, and on why there are none."""
-    unsolved = [] if gains is NO_GAINS else unsolved_note(gains, known, requested)
+    unsolved = [] if gains is NO_GAINS else no_design_note(gains, known, requested)
     return [*calmer_note(gains), *missing_note(gains, effects), *unsolved]
 
 

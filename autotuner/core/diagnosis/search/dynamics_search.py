@@ -30,6 +30,7 @@ from autotuner.core.diagnosis.search.search import (
     alone_beside,
     disturbances_of,
     extend,
+    form_of,
     free_load_of,
     refined,
     within,
@@ -52,6 +53,7 @@ ADDED = (0.3, 0.7)
 """Dead times to begin with where the process alone has none, in hundredths of the record (`Extended.unit_s`)."""
 STRONGEST, WAVE = 2, 0.2
 """Waves of the PV that are looked at, and the least share of its variance about a straight line to be searched for."""
+PERIODIC = "periodic_disturbance"
 LAGS, DELAYS = (0.003, 0.01, 0.03, 0.1), (0.1, 0.5, 2.0)
 """Lags to begin with beside a wave, in records, and dead times, in hundredths of one."""
 QUICK_LAG = 0.1
@@ -85,7 +87,7 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     Alone, the process rings in place of a large wave, or waits for half of its period, and does not come back from it.
     A wave that begins within the record is searched in the same way.
     """
-    wave, late = _wave_of(effects), _wave_of(effects, "begins")
+    wave, late = form_of(effects, PERIODIC), form_of(effects, PERIODIC, "begins")
     pair = _free_pair(base.origins)
     dataset = context.dataset
     if wave is None or late is None or pair is None or dataset.tuned or pair.problem.effects:
@@ -144,7 +146,7 @@ def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[
     takes the place of.
     """
     pair, curves = _free_pair(base.origins), [e for e in effects if e.group == CURVE]
-    free, wave = free_load_of(effects), _wave_of(effects)
+    free, wave = free_load_of(effects), form_of(effects, PERIODIC)
     if context.dataset.tuned or pair is None or pair.problem.effects or not curves:
         return []
     found = []
@@ -182,10 +184,6 @@ def _large_waves(dataset: Dataset) -> tuple[float, ...]:
     """Return the lines of the PV that have a large share of its variance, in periods per record."""
     pv = dataset.data.pv
     return tuple(f for f in spectral_lines(dataset, pv)[:STRONGEST] if share_of_wave(dataset, pv, f) > WAVE)
-
-
-def _wave_of(effects: Sequence[Effect], form: str = "") -> Effect | None:
-    return next((e for e in effects if e.name == "periodic_disturbance" and e.form == form), None)
 
 
 def _beside_each(

@@ -22,7 +22,7 @@ from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
-from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, SAME, refined, within
+from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, SAME, form_of, refined, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -75,10 +75,11 @@ def with_positions(context: FitContext, base: Base, effects: Sequence[Effect]) -
 
 def _with_drift(context: FitContext, origins: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the processes beside a straight drift where that is closer."""
-    drifts = [e for e in effects if e.name == "drift" and not e.form]
-    pairs = [(o, replace(o.problem, effects=(e,), rows=context.coarse)) for e in drifts for o in origins]
-    drifting = [(o, fit(problem, o.theta, COARSE_STEPS)) for o, problem in pairs]
-    return [beside for o, beside in drifting if SAME * beside.rms < o.rms]
+    drift = form_of(effects, "drift")
+    if drift is None:
+        return []
+    beside = [fit(replace(o.problem, effects=(drift,), rows=context.coarse), o.theta, COARSE_STEPS) for o in origins]
+    return [found for o, found in zip(origins, beside, strict=True) if SAME * found.rms < o.rms]
 
 
 def _from_their_process(

@@ -182,6 +182,11 @@ def free_load_of(effects: Sequence[Effect]) -> Effect | None:
     return next((e for e in effects if e.reads_as is not None), None)
 
 
+def form_of(effects: Sequence[Effect], name: str, form: str = "") -> Effect | None:
+    """Return the effect of a name in one of its forms, the plain one if none is given; None without it."""
+    return next((e for e in effects if e.name == name and e.form == form), None)
+
+
 def disturbances_of(effects: Sequence[Effect]) -> list[Effect]:
     """Return the effects that are functions of time, but for measured ones."""
     return [e for e in effects if e.place in OF_TIME and not e.measured]

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from itertools import permutations
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,7 @@ from autotuner.core.diagnosis.search.search import (
     QUICK_STEPS,
     alone_beside,
     extend,
+    form_of,
     has_several,
     within,
     without,
@@ -48,7 +50,7 @@ from autotuner.core.diagnosis.search.search import (
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
@@ -113,7 +115,7 @@ def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
 def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with plain backlash where a form of friction with more parameters is not significant."""
     rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)
-    plain = next((e for e in effects if e.name == "backlash" and not e.form), None)
+    plain = form_of(effects, "backlash")
     if rich is None or plain is None:
         return chosen
     play = _exchanged(chosen, rich, plain, [_width_of_play(rich, _values_of(chosen, rich))])
@@ -125,25 +127,20 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     kink = next((e for e in chosen.problem.effects if e.form == "kink elsewhere"), None)
     ratio = next((abs(sizes["ratio"]) for sizes in chosen.sizes() if "kink" in sizes), 1.0)
     side = "high" if ratio < FLAT else "low"
-    limit = next((e for e in effects if e.name == "saturation" and e.form == side), None)
+    limit = form_of(effects, "saturation", side)
     if kink is None or limit is None or FLAT <= ratio <= 1.0 / FLAT:
         return chosen
     (at,) = _values_of(chosen, kink)
     return _plainer(context, chosen, _exchanged(chosen, kink, limit, [1.0 - at if side == "high" else at]))
 
 
+@lru_cache(maxsize=4)
 def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with each effect in another form of as many numbers where both parts speak for it."""
+    """Return the explanation with each effect in another of its forms where both parts speak for it. Cached."""
     for effect in chosen.problem.effects:
-        starts = [(form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form)]
-        thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-        tried = [
-            _exchanged(thinned, effect, form, start, QUICK_STEPS)
-            for form, start in within(context.dataset.budget, starts)
-        ]
-        if tried:
-            closest = closest_first(tried)[0]
-            other = fit(replace(closest.problem, rows=context.fine), closest.theta)
+        starts = ((form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form))
+        other = _closest_exchanged(context, chosen, effect, starts, QUICK_STEPS)
+        if other is not None:
             chosen = _plainer(context, chosen, other, 0.0 if other.size < chosen.size else -POSITIVE)
     return chosen
 
@@ -172,8 +169,8 @@ def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effe
 
 def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with a load in place of a drift that settles as fast as the process answers."""
-    settling = next((e for e in chosen.problem.effects if e.name == "drift" and e.form == "settling"), None)
-    step = next((e for e in effects if e.name == "load_step" and not e.form), None)
+    settling = form_of(chosen.problem.effects, "drift", "settling")
+    step = form_of(effects, "load_step")
     if (
         settling is None
         or step is None
@@ -191,7 +188,7 @@ def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effec
 def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with a straight drift in place of a load whose ramp begins and ends where none shows."""
     ramp = next((e for e in chosen.problem.effects if e.key == RAMP), None)
-    drift = next((e for e in effects if e.name == "drift" and not e.form), None)
+    drift = form_of(effects, "drift")
     others = [e for e in chosen.problem.effects if e is not ramp]
     if ramp is None or drift is None or not fits_beside(drift, others):
         return chosen
@@ -280,9 +277,9 @@ def with_own_shapes(context: FitContext, chosen: Fitted) -> Fitted:
     if curved is None or context.dataset.budget.spent:
         return chosen
     shaped = shaped_stores(context.dataset, _values_of(chosen, curved))
-    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-    coarse = closest_first(_exchanged(thinned, curved, shaped, start) for start in shaped.starts)
-    richer = fit(replace(coarse[0].problem, rows=context.fine), coarse[0].theta, FINE_STEPS)
+    richer = _closest_exchanged(context, chosen, curved, ((shaped, start) for start in shaped.starts), FINE_STEPS)
+    if richer is None:
+        return chosen
     evidence = weigh(context, chosen, richer)
     return richer if is_physical(richer) and evidence.gain > GAIN and evidence.held_out_ratio < MUCH_BETTER else chosen
 
@@ -324,6 +321,24 @@ def _exchanged(
     parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
     problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
     return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), steps)
+
+
+def _closest_exchanged(
+    context: FitContext,
+    chosen: Fitted,
+    effect: Effect,
+    others: Iterable[tuple[Effect, Sequence[float]]],
+    steps: int,
+) -> Fitted | None:
+    """Return the explanation with the closest of some effects in place of one, by a few samples; then fitted to all."""
+    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
+    tried = [
+        _exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)
+    ]
+    if not tried:
+        return None
+    closest = closest_first(tried)[0]
+    return fit(replace(closest.problem, rows=context.fine), closest.theta, FINE_STEPS)
 
 
 def _width_of_play(friction: Effect, values: Sequence[float]) -> float:

@@ -59,6 +59,7 @@ from autotuner.core.diagnosis.search.search import (
     disturbances_of,
     extend,
     finished,
+    form_of,
     has_several,
     in_each_form,
     sketched,
@@ -277,7 +278,7 @@ def _how_far(context: FitContext, best: Fitted) -> str:
 def _with_jump(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[list[Fitted]]:
     """Return the process with an obvious jump in an experiment; further effects are searched with it."""
     at_s = plain_jump(context.dataset) if context.dataset.tuned else None
-    jump = next((e for e in effects if e.name == "bias_step" and not e.form), None)
+    jump = form_of(effects, "bias_step")
     if at_s is None or jump is None:
         return []
     at_it = [replace(jump, starts=[(at_s / context.dataset.span_s,)])]

@@ -12,6 +12,7 @@ sizes of each are those of the cubic through rest that is closest over the range
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,9 +28,9 @@ if TYPE_CHECKING:
 
     Curve = Callable[[FloatArray, Sequence[float]], FloatArray]
 
-MIDDLES, WIDTHS = (0.3, 0.5, 0.7), (0.3, 0.8)
+MIDDLES, SPREADS = (0.3, 0.5, 0.7), (0.3, 0.8)
 """Middle of an S-shaped curve above the lowest output, and its width, to begin from, in swings."""
-POWERS, RANGES = (0.6, 1.8), (-1.0, 1.0)
+POWERS, RANGES = ((0.6,), (1.8,)), ((-1.0,), (1.0,))
 """Powers, and changes of `ln` of the gain over the swing, to begin from."""
 STRAIGHT = 1e-9
 """Change of `ln` of the gain over the swing under which a curve is straight to the rounding of a double."""
@@ -57,22 +58,17 @@ def characteristics(dataset: Dataset) -> tuple[Effect, ...]:
         position: FloatArray = slope * width * (np.arctan((u - middle) / width) + math.atan(middle / width))
         return position
 
-    s_starts = [(middle, width) for middle in MIDDLES for width in WIDTHS]
     about = (Searched("middle", -0.5, 1.5, 1e-4), Searched("spread", 0.1, 5.0, 1e-4))
     above_zero = rest > 0.0 and rest + low > 0.0
     return (
         *([_curve(dataset, "power", (Searched("n", 0.2, 5.0, 1e-4),), power, POWERS)] if above_zero else []),
         _curve(dataset, "equal percentage", (Searched("range", -5.0, 5.0, 1e-4),), equal_percentage, RANGES),
-        _curve(dataset, "S-shaped", about, s_shaped, s_starts),
+        _curve(dataset, "S-shaped", about, s_shaped, list(product(MIDDLES, SPREADS))),
     )
 
 
 def _curve(
-    dataset: Dataset,
-    form: str,
-    searched: tuple[Searched, ...],
-    curve: Curve,
-    starts: Sequence[float] | Sequence[tuple[float, ...]],
+    dataset: Dataset, form: str, searched: tuple[Searched, ...], curve: Curve, starts: Sequence[tuple[float, ...]]
 ) -> Effect:
     levels = dataset.data.held.levels
     across = np.linspace(float(levels.min()), float(levels.max()), MANY)
@@ -80,7 +76,7 @@ def _curve(
         "static_nonlinearity",
         Place.ACTUATOR,
         searched,
-        [start if isinstance(start, tuple) else (start,) for start in starts],
+        starts,
         lambda p, _c, _g: closest_cubic(across, curve(across, p)),
         form=form,
         position=lambda held, p, _: map_levels(held, lambda u: curve(u, p)),

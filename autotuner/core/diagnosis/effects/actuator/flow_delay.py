@@ -83,7 +83,7 @@ def dead_time_jump(dataset: Dataset, fewest: int = FEWEST_MOVES) -> Effect:
     span, share = dataset.span_s, dataset.fitted_until_s / dataset.span_s
 
     def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
-        return carried_since(held, p[0] * span, math.exp(p[1]), delay_s, *(p[2] * span for _ in p[2:]))
+        return carried_since(held, p[0] * span, math.exp(p[1]), delay_s, *(lasts * span for lasts in p[2:]))
 
     jump = Effect(
         "dead_time_jump",

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     Columns = Callable[[View, Sequence[float]], list[FloatArray]]
     Starts = Sequence[tuple[float, ...]]
+    Moved = Callable[[HeldInput, Sequence[float], Dataset], HeldInput]
     Part = Callable[[FloatArray, Sequence[float]], FloatArray]
 
 ORIGIN_LEFT = 0.25
@@ -57,15 +58,16 @@ def actuator_effects(
     dataset: Dataset, grids: Sequence[tuple[float, float]], steps: Mapping[str, Sequence[tuple[float, float]]]
 ) -> tuple[Effect, ...]:
     """Return the effects; `grids` are likely (period, phase) of updates, `steps` (step, origin) of known levels."""
+    valves = characteristics(dataset)
     return (
-        *saturations(dataset, characteristics(dataset)),
+        *saturations(dataset, valves),
         rate_limit(dataset),
         rate_limit(dataset, unequal=True),
         positioner(dataset),
         *(quantisation(dataset, form, of_form) for form, of_form in steps.items() if of_form),
         *((updated_every(dataset, grids),) if grids else ()),
-        *_curves(dataset),
-        *_direction_gains(dataset),
+        *_curves(dataset, valves),
+        *_direction_gains(dataset, valves),
     )
 
 
@@ -127,21 +129,20 @@ def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, 
 def positioner(dataset: Dataset) -> Effect:
     """Return an actuator that follows its command like a lag, by a limited rate."""
     swing, span, plain = dataset.swing, dataset.span_s, rate_limit(dataset)
+
+    def moved(by: Callable[[HeldInput, float, float], HeldInput]) -> Moved:
+        return lambda held, p, _: by(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0]))
+
     hard = replace(
         plain,
         searched=(*plain.searched, Searched("log_band", math.log(0.02), math.log(WIDEST_BAND), 1e-3)),
         starts=[(-math.log(share * span), math.log(band)) for share in (0.003, 0.01, 0.03, 0.1) for band in (0.1, 0.4)],
         sizes=lambda p, c, g: {**plain.sizes(p[:1], c, g), "lag_s": math.exp(p[1] - p[0])},
         form="with a lag",
-        position=lambda held, p, _: positioned(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0])),
+        position=moved(positioned),
         price=2.0,
     )
-    soft = replace(
-        hard,
-        form="soft",
-        position=lambda held, p, _: approached(held, math.exp(p[0]) * swing, math.exp(p[1] - p[0])),
-    )
-    return replace(hard, other_forms=(soft,))
+    return replace(hard, other_forms=(replace(hard, form="soft", position=moved(softly_positioned)),))
 
 
 def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
@@ -167,7 +168,7 @@ def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
     return _in_steps(held.times[0], ramps)
 
 
-def approached(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
+def softly_positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
     """Return a position that approaches its command by a rate which falls with the way left, in small steps.
 
     `sinh(e/b) = sinh(e0/b) e^{-t/lag}` is the way left after a time `t`, with `b = rate lag`, of which `e0` were left.
@@ -179,8 +180,7 @@ def approached(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
         lasts = min(end - t, abs(way) / rate + ARRIVED * lag_s)
         if way == 0.0 or lasts <= 0.0:
             continue
-        pieces = max(math.ceil(OF_A_LAG * lasts / (ARRIVED * lag_s)), 1)
-        pieces = min(pieces, OF_A_LAG + PIECES)
+        pieces = min(math.ceil(OF_A_LAG * lasts / (ARRIVED * lag_s)), OF_A_LAG + PIECES)
         since = np.linspace(0.0, lasts, pieces + 1)
         bands = np.clip(way / band, -MOST_BANDS, MOST_BANDS)
         left = band * np.arcsinh(np.sinh(bands) * np.exp(-since / lag_s))
@@ -243,7 +243,7 @@ def taken_over(held: HeldInput, period: float, phase: float) -> HeldInput:
     return HeldInput(later[last], np.where(np.arange(last.size) == 0, 0.0, held.levels)[last])
 
 
-def _curves(dataset: Dataset) -> tuple[Effect, ...]:
+def _curves(dataset: Dataset, valves: tuple[Effect, ...]) -> tuple[Effect, ...]:
     swing = dataset.swing
 
     def columns(powers: Sequence[int]) -> Columns:
@@ -264,7 +264,6 @@ def _curves(dataset: Dataset) -> tuple[Effect, ...]:
         )
 
     # A power law has the fourth power next, a curve that bends alike on either side the fifth.
-    valves = characteristics(dataset)
     forms = (("square", (2,), (3,), valves), ("cubic", (2, 3), (4, 5), (*valves, *soft_limits(dataset))))
     return tuple(
         replace(
@@ -276,7 +275,7 @@ def _curves(dataset: Dataset) -> tuple[Effect, ...]:
     )
 
 
-def _direction_gains(dataset: Dataset) -> tuple[Effect, ...]:
+def _direction_gains(dataset: Dataset, valves: tuple[Effect, ...]) -> tuple[Effect, ...]:
     """Return a gain that differs above the first output: at a corner, at a rounded one, and above another output."""
     swing, low = dataset.swing, float(dataset.data.held.levels.min())
     kink = dataset.output0 + low
@@ -307,7 +306,7 @@ def _direction_gains(dataset: Dataset) -> tuple[Effect, ...]:
             price=price,
             group="curve",
             means=lambda _p, c, g, _shape: c[0] / g > -1.0,
-            other_forms=characteristics(dataset) if form == "bend" else (),
+            other_forms=valves if form == "bend" else (),
         )
         for form, searched, starts, price, above in ways
     )

@@ -40,9 +40,9 @@ SETTLING = (0.1, 0.25, 0.6)
 def gains_in_time(dataset: Dataset) -> tuple[Effect, ...]:
     """Return the forms; a free one needs more moves than it has knots, with fewer it follows whatever they meet."""
     moves = np.count_nonzero(dataset.data.held.times[1:] < dataset.fitted_until_s)
-    free = (_free(dataset),) if moves > KNOTS else ()
     settling = _settling(dataset)
-    return _straight(dataset), settling, *(replace(e, other_forms=(settling,)) for e in free), _jump(dataset)
+    free = (replace(_free(dataset), other_forms=(settling,)),) if moves > KNOTS else ()
+    return _straight(dataset), settling, *free, _jump(dataset)
 
 
 def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:

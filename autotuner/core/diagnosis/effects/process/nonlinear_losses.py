@@ -41,6 +41,8 @@ AT_THE_END = ("outflow", "radiation")
 """Losses by one number that the last of two stores may have alone."""
 EXPONENTIAL, LARGEST_EXPONENT = "exponential", 30.0
 """Form that is tried in place of another one, and exponent beyond which no store of a record is."""
+POWERS = {**FORMS, EXPONENTIAL: math.inf}
+"""Power of each loss by one number."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
 LOSS = "loss"
@@ -72,12 +74,12 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
 
 def _or_by_another_law(known: Sequence[Effect], exponential: Effect) -> tuple[Effect, ...]:
     """Return the losses at one place, in whose place those of one number are tried."""
-    laws = [_briefly(law) for law in (*known, exponential) if law.searched[-1].name == LOSS]
+    laws = [_with_few_starts(law) for law in (*known, exponential) if law.searched[-1].name == LOSS]
     return tuple(replace(loss, other_forms=tuple(law for law in laws if law.form != loss.form)) for loss in known)
 
 
-def _briefly(law: Effect) -> Effect:
-    """Return a loss with few starts: it is tried where another one was found."""
+def _with_few_starts(law: Effect) -> Effect:
+    """Return a loss as it is tried where another one was found."""
     return replace(law, starts=[start for start in law.starts if start[-1] in TRIED])
 
 
@@ -128,7 +130,7 @@ def _power_law(a: float, b: float, c: float) -> tuple[Curve, Curve]:
 
 def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
     """Return a loss by one number; with `last` that of the last of two stores in a row alone."""
-    swing, power = dataset.swing, FORMS.get(form, math.inf)
+    swing, power = dataset.swing, POWERS[form]
     starts = [(start,) for start in STARTS]
 
     def response(view: View, p: Sequence[float]) -> FloatArray:
