@@ -20,6 +20,8 @@ FORMS = [
     ("dead_time_jump:within a while", 775, "random", "within a while"),
     ("drift:curved", 767, "random", "accelerating"),
     ("load_step:settling", 774, "steps", "settling"),
+    ("time_proportioning:latched", 784, "random", ""),
+    ("time_proportioning:carrier", 784, "loop", "by a carrier from the start"),
 ]
 """What was hidden, seed, experiment, and the form that is named."""
 

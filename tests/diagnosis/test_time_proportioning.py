@@ -49,6 +49,14 @@ def test_a_command_that_rises_above_the_carrier_begins_another_pulse():
     assert seen.at(at_s) == pytest.approx([60.0, -40.0, -40.0, 60.0, 60.0, -40.0, -40.0, 60.0, 60.0, -40.0])
 
 
+@pytest.mark.parametrize(("phase", "before", "begins_s"), [(0.0, -0.1, 0.0), (0.25, 2.4, 2.5), (-0.25, 7.4, 7.5)])
+def test_pulses_that_begin_with_the_record_begin_from_rest(phase, before, begins_s):
+    held = HeldInput(np.array([0.0]), np.array([0.0]))  # 40 %
+    seen = pulses(held, 40.0, 100.0, 10.0, phase, 30.0, first=0)
+    at_s = np.array([-30.0, before, begins_s + 0.1, begins_s + 3.9, begins_s + 4.1, begins_s + 10.1])
+    assert seen.at(at_s) == pytest.approx([0.0, 0.0, 60.0, 60.0, -40.0, 60.0])
+
+
 @pytest.mark.parametrize("period_s", [3.0, 8.0, 23.0])
 def test_pulses_are_those_of_the_simulator(period_s):
     """Its position is the mean over a step of 0.05 s; the first period begins at rest, with the record."""
@@ -114,6 +122,9 @@ def test_it_conforms():
     def make(dataset, _base):
         angle = 2.0 * math.pi * dataset.data.t / dataset.span_s
         ripple = np.sin(20.0 * angle)
-        return [replace(e, name="relay") for e in time_proportioning(dataset, [ripple])]
+        return [
+            replace(e, name="relay", other_forms=tuple(replace(form, name="relay") for form in e.other_forms))
+            for e in time_proportioning(dataset, [ripple])
+        ]
 
     assert check_effect(EffectPlugin("relay", make, "switched every {period_s:.3g} s")) == []

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.diagnosis.extended.base import Base
-    from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
 
@@ -58,6 +57,8 @@ GRIDS = (
 """What is tried, ever finer: periods over the one found; around each, steps in shares of it over the whole record, and
 steps of the phase in periods, with how many of them to either side. With many moves, one is near the next update for
 each small step."""
+FOLLOWED = 2
+"""Forms of even times that are followed to finer periods."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 
@@ -120,22 +121,44 @@ def _on_a_grid(context: FitContext, timed: Fitted) -> list[Fitted]:
 def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
     """Return the closest explanation by even times with other periods and phases, where it leaves more than noise.
 
-    These are of updates, or of pulses. A move that reaches another one is a jump of the misfit, beyond which no slope
-    leads. Several grids may explain the fitted part as well, until a move of the other part shows which of them it is.
+    These are of updates, or of pulses, in each of their forms. A move that reaches another one is a jump of the misfit,
+    beyond which no slope leads. Several grids may explain the fitted part as well, until a move of the other part shows
+    which of them it is.
     """
-    held = next((c for c in found[:HELD] if any(map(_is_even, c.problem.effects))), None)
+    held = next((c for c in found[:HELD] if any(e.clocked for e in c.problem.effects)), None)
     if held is None or is_noise(context, held) or context.dataset.budget.spent:
         return []
     grids: list[Fitted] = []
-    for grid in GRIDS:
-        tried = closest_first(_on_grids(context, held, *grid))
+    in_forms = _in_clocked_forms(held)
+    for parts, *around in GRIDS:
+        tried = closest_first(
+            c for one in in_forms for c in _on_grids(context, one, parts if one is held else PARTS[:1], *around)
+        )
         as_near = [c for c in tried if c.rms < AS_NEAR * tried[0].rms]
-        chosen = {id(c): c for c in (tried[0], best_on_both_parts(context, as_near)[0])}
+        chosen = {id(c): c for c in (*_closest_forms(tried), best_on_both_parts(context, as_near)[0])}
         fitted = closest_first(refined(context, c) for c in chosen.values())
-        grids, held = [*grids, *fitted], fitted[0]
-        if is_noise(context, held):
+        grids, in_forms = [*grids, *fitted], _closest_forms(fitted)
+        if is_noise(context, fitted[0]):
             break
     return [c for c in grids if is_physical(c)]
+
+
+def _in_clocked_forms(held: Fitted) -> list[Fitted]:
+    """Return an explanation by even times in each form of them, with the numbers that were found, not fitted again."""
+    clocked = next(e for e in held.problem.effects if e.clocked)
+    problems = [
+        replace(held.problem, effects=tuple(form if e is clocked else e for e in held.problem.effects))
+        for form in clocked.other_forms
+    ]
+    return [held, *(replace(held, problem=problem) for problem in problems)]
+
+
+def _closest_forms(ranked: Sequence[Fitted]) -> list[Fitted]:
+    """Return the closest explanation in each of the two closest forms."""
+    forms: dict[tuple[str, ...], Fitted] = {}
+    for candidate in ranked:
+        forms.setdefault(tuple(e.key for e in candidate.problem.effects), candidate)
+    return list(forms.values())[:FOLLOWED]
 
 
 def _on_grids(
@@ -147,7 +170,7 @@ def _on_grids(
 ) -> list[Fitted]:
     """Return an explanation by even times with periods about parts of its own, and all moves as late in the mean."""
     problem, dead_time = replace(held.problem, rows=context.screen), len(held.problem.structure.shape)
-    before = takewhile(lambda e: not _is_even(e), problem.effects)
+    before = takewhile(lambda e: not e.clocked, problem.effects)
     at = dead_time + 1 + sum(len(e.searched) for e in before)
     period, phase = math.exp(held.theta[at]), float(held.theta[at + 1])
     tried = []
@@ -162,11 +185,6 @@ def _on_grids(
 
 def _about(step: float, each_way: int) -> list[float]:
     return [step * k for k in range(-each_way, each_way + 1)]
-
-
-def _is_even(effect: Effect) -> bool:
-    """Return whether an actuator takes over its command at even times: an update, or a pulse."""
-    return tuple(one.name for one in effect.searched) == ("log_period", "phase")
 
 
 def _spread_of_times(timed: Fitted) -> float:

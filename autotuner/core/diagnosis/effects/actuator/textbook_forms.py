@@ -227,6 +227,7 @@ def updated_every(dataset: Dataset, grids: Sequence[tuple[float, float]]) -> Eff
         lambda p, _c, _g: {"period_s": math.exp(p[0])},
         position=lambda held, p, _: taken_over(held, math.exp(p[0]), p[1]),
         group="timing",
+        clocked=True,
         lateness_s=lambda p: math.exp(p[0]) / math.sqrt(12.0),
         blur=lambda p: {"period_s": PHASE_LEFT * math.exp(2.0 * p[0]) / dataset.span_s},
     )

@@ -11,6 +11,7 @@ sampling: Holmes and Lipo, Pulse Width Modulation for Power Converters, 2003, se
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,15 @@ RIPPLE = 0.15
 """Least share of a residual that the wave of a line explains: a ripple is regular."""
 BEFORE = 20
 """Periods before the record: by then the ripple no longer depends on how it began."""
+SEARCHED = ("", "by a carrier")
+"""Forms by which a search comes to the effect."""
+FORMS = (
+    ("", True, -BEFORE),
+    ("by a carrier", False, -BEFORE),
+    ("from the start", True, 0),
+    ("by a carrier from the start", False, 0),
+)
+"""All of them: whether a command counts for a whole period, and the period with the first pulse."""
 
 
 def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
@@ -62,29 +72,43 @@ def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tup
     if not lines:
         return ()
     starts = [(math.log(span / line), k / PHASES) for line in lines for k in range(PHASES)]
-    return tuple(
-        Effect(
+    forms = {
+        form: Effect(
             "time_proportioning",
             Place.ACTUATOR,
             (Searched("log_period", math.log(low), math.log(high), 1e-5), Searched("phase", -1.0, 2.0, 1e-4)),
             starts,
             lambda p, _c, _g: {"period_s": math.exp(p[0])},
             form=form,
-            position=partial(_switched, full=full, latched=latched),
+            position=partial(_switched, full=full, latched=latched, first=first),
             order=4,
             price=math.log(len(starts)),
             group="timing",
+            clocked=True,
         )
-        for form, latched in (("", True), ("by a carrier", False))
-    )
+        for form, latched, first in FORMS
+    }
+    others = {form: tuple(e for e in forms.values() if e.form != form) for form in forms}
+    return tuple(replace(forms[form], other_forms=others[form]) for form in SEARCHED)
 
 
-def _switched(held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, latched: bool) -> HeldInput:
-    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], float(dataset.data.t[-1]), latched=latched)
+def _switched(
+    held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, latched: bool, first: int
+) -> HeldInput:
+    until_s = float(dataset.data.t[-1])
+    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], until_s, latched=latched, first=first)
 
 
 def pulses(
-    held: HeldInput, output0: float, full: float, period_s: float, phase: float, until_s: float, *, latched: bool = True
+    held: HeldInput,
+    output0: float,
+    full: float,
+    period_s: float,
+    phase: float,
+    until_s: float,
+    *,
+    latched: bool = True,
+    first: int = -BEFORE,
 ) -> HeldInput:
     """Return a position that is either 0 or full, as deviation from the first output.
 
@@ -102,8 +126,10 @@ def pulses(
         Time of the last pulse, s.
     latched : bool
         Whether the command at the begin of a period counts for all of it; otherwise a carrier looks at all of them.
+    first : int
+        Period with the first pulse: 0 for one that begins in the record, before which the position is that of rest.
     """
-    turns = np.arange(-BEFORE, math.ceil(until_s / period_s) + 1)
+    turns = np.arange(first - (math.floor(phase) if first == 0 else 0), math.ceil(until_s / period_s) + 1)
     begins = np.asarray((turns + phase) * period_s, dtype=np.float64)
     looks = begins if latched else np.union1d(begins, held.times[held.times > begins[0]])
     turn = np.searchsorted(begins, looks, side="right") - 1
