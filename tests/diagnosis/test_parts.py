@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from autotuner import Recording, diagnose
 from autotuner.core.diagnosis.record.parts import parts_of
@@ -97,3 +98,29 @@ def test_errors_are_those_of_the_pictures():
     for name, simulated in (("before", curves.before), ("after", curves.after)):
         expected = np.sqrt(np.mean((curves.pv - simulated)[tested] ** 2))
         assert getattr(found.error["held_out"], name) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_reported_process_is_fitted_to_all_that_comes_before_the_test_part():
+    """The judge is a fit of the closed form of steps through a lag with a dead time, by another library."""
+    t, moves_s = np.arange(600.0), np.arange(20.0, 600.0, 29.0)
+    random = np.random.default_rng(11)
+    steps = np.diff(random.choice([-8.0, -3.0, 3.0, 8.0], moves_s.size), prepend=0.0)
+    since = t[:, None] - moves_s
+
+    def simulated(numbers):
+        K, T, D, offset = numbers
+        return offset + K * ((1.0 - np.exp(-np.maximum(since - D, 0.0) / T)) @ steps)
+
+    output = 40.0 + (since >= 0.0) @ steps
+    pv = simulated([1.7, 14.0, 3.3, 60.0]) + random.normal(0.0, 0.4, t.size)
+
+    def fitted(rows):
+        left = least_squares(lambda numbers: (simulated(numbers) - pv)[rows], [1.5, 12.0, 3.0, 59.0], xtol=1e-12)
+        return left.x[:3]
+
+    found = diagnose(Recording(t, output, pv))
+    assert found.verdict == "adequate"
+    reported = [found.process.parameters()[name] for name in ("K", "T", "D")]
+    tested_from = parts_of(Recording(t, output, pv)).tested.start
+    assert reported == pytest.approx(fitted(slice(tested_from)), rel=2e-3)
+    assert reported != pytest.approx(fitted(slice(tested_from * 3 // 4)), rel=2e-3)

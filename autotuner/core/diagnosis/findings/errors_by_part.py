@@ -2,9 +2,8 @@
 
     error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2 + late^2
 
-`spread` the standard deviation of uneven sampling times, `late` the error by unknown delays of moves. For the test
-part, both models are refitted to fit and selection together, from their present values, and then simulated over
-the test part.
+`spread` the standard deviation of uneven sampling times, `late` the error by unknown delays of moves. On the selection
+part, both models are as fitted to the fitted part, and on the test part, as fitted to both (`to_both_parts`).
 """
 
 from __future__ import annotations
@@ -16,9 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import fit
-from autotuner.core.diagnosis.extended.fit_context import MOST_SAMPLES, thinned
+from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
 from autotuner.core.diagnosis.findings.result import Misfit, Traces
 from autotuner.core.diagnosis.record.sensor import spikes_of
@@ -31,8 +28,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.record.parts import Parts
     from autotuner.core.model.arrays import FloatArray, IntArray
 
-STEPS = 10
-"""Most steps of the optimiser when a model is fitted again to a part, from where it was on the whole."""
 BLOCKS, LONG = 5, 500
 """Number of equal parts of a long record with their own errors, and samples from which a record is long."""
 
@@ -124,7 +119,7 @@ class Errors:
     def _simulated(self) -> tuple[FloatArray, FloatArray]:
         """Return the PV of both models over the whole record."""
         rows = np.arange(self._whole.data.t.size)
-        fits = [_of_both_parts(self.context, f) for f in (self.before, self.after)]
+        fits = [to_both_parts(self.context, f) for f in (self.before, self.after)]
         before, after = (replace(f, problem=replace(f.problem, dataset=self._whole)).simulated(rows) for f in fits)
         return before, after
 
@@ -143,14 +138,3 @@ class Errors:
     def _tested(self) -> IntArray:
         rows: IntArray = self._rows[self._rows >= self.parts.tested.start]
         return rows
-
-
-def _of_both_parts(context: FitContext, fitted: Fitted) -> Fitted:
-    """Return a model fitted to the fitted and the selection part together; itself where that leads elsewhere."""
-    if fitted.problem.dataset is not context.dataset or context.dataset.tuned:
-        return fitted
-    rows = thinned(
-        np.concatenate((np.flatnonzero(context.dataset.fitted), np.flatnonzero(context.dataset.held_out))), MOST_SAMPLES
-    )
-    again = fit(replace(fitted.problem, rows=rows), fitted.theta, STEPS)
-    return again if is_physical(again) else fitted

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.intervals import (
@@ -120,15 +121,17 @@ def reported(
     noise = max(min(noise_of(context, first.best), found.noise), 0.0 if coloured is None else coloured.noise)
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
-    covariance = process_covariance(context, found.chosen, neighbours(context, found.chosen, found.pool))
+    final = to_both_parts(context, found.chosen)
+    covariance = process_covariance(context, final, neighbours(context, found.chosen, found.pool))
     doubts = _doubts(context, found, effects, errors, error["selection"], covariance, sensor)
     verdict, cut = _outcome(context, found.chosen, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
-    before = model if model is not None else found.alone.process()
+    plain = to_both_parts(context, found.alone)
+    before = model if model is not None else plain.process()
     described = model_to_dict(before)
-    alone = Known(before, process_covariance(context, found.alone) if model is None else None)
-    after = Known(found.chosen.process(), covariance) if kept else alone
+    alone = Known(before, process_covariance(context, plain) if model is None else None)
+    after = Known(final.process(), covariance) if kept else alone
     blind = blind_spots(context, found.chosen, found.noise)
     judged = model is None and not context.dataset.tuned
     barred = why_no_gains(parts.before_test, first, found, verdict, error["fitted"]) if judged else None
@@ -149,7 +152,7 @@ def reported(
         effects=effects,
         runner_up=_runner_up(context, found, effects),
         error=error,
-        model={"before": described, "after": _model(context, found, covariance) if kept else described},
+        model={"before": described, "after": _model(context, final, covariance) if kept else described},
         gains=gains,
         notes=(*parts.whole.notes, *notes),
         summary=_summary(verdict, effects, error, blind),
@@ -206,11 +209,12 @@ def _doubts(
     chosen = found.chosen
     until = int(np.flatnonzero(context.dataset.fitted)[-1]) + 1
     _, delay_s, _ = chosen.problem.split(chosen.theta)
+    before, after = (to_both_parts(context, f).process() for f in (found.alone, chosen))
     return [
         *doubts_about(effects, in_loop=context.dataset.in_loop),
         *doubts_about_course(context, chosen),
         *doubts_about_moments(effects, context.dataset, delay_s),
-        *doubts_about_process(found.alone.process(), chosen.process(), covariance, in_loop=context.dataset.in_loop),
+        *doubts_about_process(before, after, covariance, in_loop=context.dataset.in_loop),
         *doubts_about_errors(selection, errors.of_the_later_selection()),
         *doubts_about_readings(sensor.grid, context.dataset.data.pv[:until]),
     ]
@@ -241,10 +245,10 @@ def _is_refuted(held: Misfit) -> bool:
     return held.after > max(held.before, VISIBLE * held.expected)
 
 
-def _model(context: FitContext, found: Trace, covariance: FloatArray | None) -> dict[str, object]:
-    reported: dict[str, object] = dict(model_to_dict(found.chosen.process()))
-    ends = process_intervals(found.chosen, covariance)
-    whole = whole_gain(context, found.chosen)
+def _model(context: FitContext, final: Fitted, covariance: FloatArray | None) -> dict[str, object]:
+    reported: dict[str, object] = dict(model_to_dict(final.process()))
+    ends = process_intervals(final, covariance)
+    whole = whole_gain(context, final)
     if whole is not None:
         reported["K"] = whole[0]
         ends = {**ends, "K": whole[1]} if ends else ends
@@ -258,10 +262,11 @@ def _effects(context: FitContext, found: Trace, chosen: Fitted) -> tuple[FoundEf
     elsewhere = context.held_out_error(chosen) / context.expected(chosen, found.noise)
     left = max(chosen.rms / found.noise, elsewhere / ELSEWHERE, 1.0)
     result = []
-    intervals = effect_intervals(context, chosen, neighbours(context, chosen, found.pool))
+    final = to_both_parts(context, chosen)
+    intervals = effect_intervals(context, final, neighbours(context, chosen, found.pool))
     names = chosen.reported_names()
     places = {e.name: e.place for c in found.pool for e in c.problem.effects}
-    for effect, name, sizes, interval in zip(chosen.problem.effects, names, chosen.sizes(), intervals, strict=True):
+    for effect, name, sizes, interval in zip(chosen.problem.effects, names, final.sizes(), intervals, strict=True):
         others = tuple(e.name for e in chosen.problem.effects if e is not effect)
         rivals = _rivals(context, found, others)
         alike = tuple(n for n, above in rivals.items() if n != effect.name and above < ABOUT_AS_WELL)
@@ -352,14 +357,14 @@ def _notes(
         notes.append(f"the reading stands still from {since:.4g} s of the record: a frozen sensor; left out")
     if sensor.spikes.any():
         notes.append(f"{int(sensor.spikes.sum())} samples were left out as no measurements")
-    return (*notes, *found.notes, *_changed_values(found, model))
+    return (*notes, *found.notes, *_changed_values(to_both_parts(context, found.chosen), model))
 
 
-def _changed_values(found: Trace, model: ProcessModel | None) -> list[str]:
+def _changed_values(final: Fitted, model: ProcessModel | None) -> list[str]:
     """Return how the record compares with the declared values."""
-    if model is None or found.chosen.problem.fixed is not None:
+    if model is None or final.problem.fixed is not None:
         return []
-    after = found.chosen.process().parameters()
+    after = final.process().parameters()
     differing = [f"{n} {v:.4g} declared, {after[n]:.4g} on record" for n, v in model.parameters().items() if n in after]
     return ["the declared values are not the record's: " + "; ".join(differing)] if differing else []
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
@@ -28,7 +29,7 @@ from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, with
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
@@ -47,16 +48,23 @@ SHARES = (0.05, 0.2)
 
 @lru_cache(maxsize=4)
 def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = ()) -> Neighbours:
-    """Return the explanation and all others that count, each with its weight; `pool` has other forms. Cached."""
+    """Return the explanation and all others that count, each with its weight; `pool` has other forms. Cached.
+
+    All are as fitted to the fitted and the selection part together.
+    """
+    final = to_both_parts(context, chosen)
     if chosen.rms > VISIBLE * noise_of(context, chosen):
-        return ((1.0, chosen),)
+        return ((1.0, final),)
     lag = one_lag_more(context, chosen)
-    found = [*_alike(context, chosen, pool), *([] if lag is None else [lag]), *_with_next_terms(context, chosen)]
-    samples = chosen.residual.size / context.colour(chosen)
-    gains = {f: samples * math.log(chosen.misfit / f.misfit) - 2.0 * (f.size - chosen.size) for f in found}
-    kept = {f: gain for f, gain in gains.items() if gain > (0.0 if f.size > chosen.size else -WINDOW)}
+    others = (in_another_form(context, chosen, effect) for effect in chosen.problem.effects)
+    pool = (*pool, *(other for other in others if other is not None and is_physical(other)))
+    near = [*_alike(context, chosen, pool), *([] if lag is None else [lag]), *_with_next_terms(context, chosen)]
+    found = [to_both_parts(context, f) for f in near]
+    samples = final.residual.size / context.colour(final)
+    gains = {f: samples * math.log(final.misfit / f.misfit) - 2.0 * (f.size - final.size) for f in found}
+    kept = {f: gain for f, gain in gains.items() if gain > (0.0 if f.size > final.size else -WINDOW)}
     best = max(kept.values(), default=0.0)
-    weights = {f: math.exp((gain - max(best, 0.0)) / 2.0) for f, gain in {chosen: 0.0, **kept}.items()}
+    weights = {f: math.exp((gain - max(best, 0.0)) / 2.0) for f, gain in {final: 0.0, **kept}.items()}
     return tuple((weight / sum(weights.values()), f) for f, weight in weights.items())
 
 
@@ -120,3 +128,54 @@ def _with(chosen: Fitted, effect: Effect, richer: Effect) -> tuple[Extended, Flo
     end = ends[chosen.problem.effects.index(effect) + 1]
     more = len(richer.searched) - len(effect.searched)
     return replace(chosen.problem, effects=effects), np.insert(chosen.theta, [end] * more, 0.0)
+
+
+def values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
+    """Return the fitted values of one of the effects."""
+    _, _, values = chosen.problem.split(chosen.theta)
+    return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
+
+
+def exchanged(
+    chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float], steps: int = FINE_STEPS
+) -> Fitted:
+    """Return the explanation with one effect replaced by another one, fitted from given values."""
+    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
+    _, _, known = chosen.problem.split(chosen.theta)
+    parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
+    problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
+    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), steps)
+
+
+def closest_exchanged(
+    context: FitContext,
+    chosen: Fitted,
+    effect: Effect,
+    others: Iterable[tuple[Effect, Sequence[float]]],
+    steps: int,
+) -> Fitted | None:
+    """Return the explanation with the closest of some effects in place of one, by a few samples; then fitted to all."""
+    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
+    tried = [
+        exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)
+    ]
+    if not tried:
+        return None
+    closest = closest_first(tried)[0]
+    return fit(replace(closest.problem, rows=context.fine), closest.theta, FINE_STEPS)
+
+
+@lru_cache(maxsize=16)
+def in_another_form(context: FitContext, chosen: Fitted, effect: Effect) -> Fitted | None:
+    """Return the explanation with one effect in the closest of its other forms; None without any. Cached."""
+    starts = ((form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form))
+    return closest_exchanged(context, chosen, effect, starts, QUICK_STEPS)
+
+
+def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[float, ...]]:
+    """Return the starts of another form, with what was found for numbers of the same name; a choice is left open."""
+    known = {s.name: value for s, value in zip(effect.searched, values_of(chosen, effect), strict=True) if s.step}
+    starts = (
+        tuple(known.get(s.name, value) for s, value in zip(form.searched, start, strict=True)) for start in form.starts
+    )
+    return list(dict.fromkeys(starts))

@@ -34,23 +34,27 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
-from autotuner.core.diagnosis.search.neighbours import one_lag_more
+from autotuner.core.diagnosis.search.neighbours import (
+    closest_exchanged,
+    exchanged,
+    in_another_form,
+    one_lag_more,
+    values_of,
+)
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     FINE_STEPS,
-    QUICK_STEPS,
     alone_beside,
     extend,
     form_of,
     has_several,
-    within,
     without,
 )
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
@@ -118,7 +122,7 @@ def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effec
     plain = form_of(effects, "backlash")
     if rich is None or plain is None:
         return chosen
-    play = _exchanged(chosen, rich, plain, [_width_of_play(rich, _values_of(chosen, rich))])
+    play = exchanged(chosen, rich, plain, [_width_of_play(rich, values_of(chosen, rich))])
     return _plainer(context, chosen, play)
 
 
@@ -130,40 +134,30 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     limit = form_of(effects, "saturation", side)
     if kink is None or limit is None or FLAT <= ratio <= 1.0 / FLAT:
         return chosen
-    (at,) = _values_of(chosen, kink)
-    return _plainer(context, chosen, _exchanged(chosen, kink, limit, [1.0 - at if side == "high" else at]))
+    (at,) = values_of(chosen, kink)
+    return _plainer(context, chosen, exchanged(chosen, kink, limit, [1.0 - at if side == "high" else at]))
 
 
 @lru_cache(maxsize=4)
 def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
     """Return the explanation with each effect in another of its forms where both parts speak for it. Cached."""
     for effect in chosen.problem.effects:
-        starts = ((form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form))
-        other = _closest_exchanged(context, chosen, effect, starts, QUICK_STEPS)
+        other = in_another_form(context, chosen, effect)
         if other is not None:
             chosen = _plainer(context, chosen, other, 0.0 if other.size < chosen.size else -POSITIVE)
     return chosen
 
 
-def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[float, ...]]:
-    """Return the starts of another form, with what was found for numbers of the same name; a choice is left open."""
-    known = {s.name: value for s, value in zip(effect.searched, _values_of(chosen, effect), strict=True) if s.step}
-    starts = (
-        tuple(known.get(s.name, value) for s, value in zip(form.searched, start, strict=True)) for start in form.starts
-    )
-    return list(dict.fromkeys(starts))
-
-
 def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with the plain form of an effect where the further numbers of its form say nothing."""
     for rich in [e for e in chosen.problem.effects if e.form]:
-        known = dict(zip([s.name for s in rich.searched], _values_of(chosen, rich), strict=True))
+        known = dict(zip([s.name for s in rich.searched], values_of(chosen, rich), strict=True))
         plains = {"", rich.form.partition(",")[0]} - {rich.form}  # a soft limit is a hard one with a width, too
         plain = next((e for e in effects if e.name == rich.name and e.form in plains), None)
         if plain is not None and all(s.name in known for s in plain.searched):
             values = [known[s.name] for s in plain.searched]
             # One lag may be enough only beside the plain form: the rich one has taken up what the second one left.
-            chosen = _plainer(context, chosen, simplest(context, _exchanged(chosen, rich, plain, values)))
+            chosen = _plainer(context, chosen, simplest(context, exchanged(chosen, rich, plain, values)))
     return chosen
 
 
@@ -178,9 +172,9 @@ def with_plain_step(context: FitContext, chosen: Fitted, effects: Sequence[Effec
     ):
         return chosen
     _, delay_s, _ = chosen.problem.split(chosen.theta)
-    start = _values_of(chosen, settling)[1]
+    start = values_of(chosen, settling)[1]
     moments = [min(max(start + by * delay_s / context.dataset.span_s, 0.01), 0.99) for by in (0.0, -0.5, 0.5)]
-    plain = [_exchanged(chosen, settling, step, [moment]) for moment in moments]
+    plain = [exchanged(chosen, settling, step, [moment]) for moment in moments]
     # Elsewhere a drift is as likely as a load, and few samples are independent.
     return _plainer(context, chosen, closest_first(plain)[0], STRONG if context.dataset.tuned else 0.0)
 
@@ -192,7 +186,7 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
     others = [e for e in chosen.problem.effects if e is not ramp]
     if ramp is None or drift is None or not fits_beside(drift, others):
         return chosen
-    return _plainer(context, chosen, _exchanged(chosen, ramp, drift, []))
+    return _plainer(context, chosen, exchanged(chosen, ramp, drift, []))
 
 
 def with_one_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
@@ -227,7 +221,7 @@ def with_one_pulse(context: FitContext, chosen: Fitted, effects: Sequence[Effect
     others = [e for e in chosen.problem.effects if e not in {first, second}]
     one = without(context, chosen, second)
     tried = [
-        _exchanged(one, first, pulse, (begins, lasts))
+        exchanged(one, first, pulse, (begins, lasts))
         for pulse in effects
         if pulse.form in PULSES and fits_beside(pulse, others)
     ]
@@ -245,7 +239,7 @@ def with_smooth_course(context: FitContext, chosen: Fitted, effects: Sequence[Ef
     others = [e for e in chosen.problem.effects if e is not slow]
     courses = [curved_drift(context.dataset), *(e for e in effects if e.form == SLOW_WAVE)]
     tried = [
-        _exchanged(chosen, slow, course, start)
+        exchanged(chosen, slow, course, start)
         for course in courses
         if course.key != slow.key and fits_beside(course, others)
         for start in course.starts
@@ -265,7 +259,7 @@ def with_steps(context: FitContext, chosen: Fitted) -> tuple[Fitted, list[Fitted
     straight = alone_beside(context, chosen, *(e for e in chosen.problem.effects if e is not curve))
     grids = step_grids(straight, context.coarse)
     steps = [(quantisation(context.dataset, form, starts), start) for form, starts in grids.items() for start in starts]
-    tried = [_exchanged(chosen, curve, e, start) for e, start in steps]
+    tried = [exchanged(chosen, curve, e, start) for e, start in steps]
     if not tried:
         return chosen, []
     return _plainer(context, chosen, closest_first(tried)[0]), [c for c in tried if is_physical(c)]
@@ -276,8 +270,8 @@ def with_own_shapes(context: FitContext, chosen: Fitted) -> Fitted:
     curved = next((e for e in chosen.problem.effects if e.form == STORES), None)
     if curved is None or context.dataset.budget.spent:
         return chosen
-    shaped = shaped_stores(context.dataset, _values_of(chosen, curved))
-    richer = _closest_exchanged(context, chosen, curved, ((shaped, start) for start in shaped.starts), FINE_STEPS)
+    shaped = shaped_stores(context.dataset, values_of(chosen, curved))
+    richer = closest_exchanged(context, chosen, curved, ((shaped, start) for start in shaped.starts), FINE_STEPS)
     if richer is None:
         return chosen
     evidence = weigh(context, chosen, richer)
@@ -290,9 +284,9 @@ def with_best_moment(context: FitContext, chosen: Fitted) -> Fitted:
     if timed is None or context.dataset.budget.spent:
         return chosen
     sample = context.dataset.data.interval_s / context.dataset.span_s
-    values, at = list(_values_of(chosen, timed)), [s.name for s in timed.searched].index(MOMENT)
+    values, at = list(values_of(chosen, timed)), [s.name for s in timed.searched].index(MOMENT)
     moved = [[*values[:at], values[at] + by, *values[at + 1 :]] for by in (*(k * sample for k in NEARBY), *AWAY)]
-    tried = closest_first(_exchanged(chosen, timed, timed, there, 0) for there in moved)[:BEST_MOMENTS]
+    tried = closest_first(exchanged(chosen, timed, timed, there, 0) for there in moved)[:BEST_MOMENTS]
     refitted = [fit(c.problem, c.theta, FINE_STEPS) for c in tried]
     closest = closest_first([chosen, *(c for c in refitted if is_physical(c))])[0]
     return closest if is_shown(chosen.misfit, closest.misfit) else chosen
@@ -304,41 +298,6 @@ def _plainer(context: FitContext, chosen: Fitted, plainer: Fitted, more: float =
     good = is_physical(plainer) and context.criterion(plainer, inflated) <= context.criterion(chosen, inflated) + more
     left = math.hypot(context.held_out_error(chosen), context.dataset.floor)
     return plainer if good and context.held_out_error(plainer) < MUCH_LARGER * left else chosen
-
-
-def _values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
-    """Return the fitted values of one of the effects."""
-    _, _, values = chosen.problem.split(chosen.theta)
-    return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
-
-
-def _exchanged(
-    chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float], steps: int = FINE_STEPS
-) -> Fitted:
-    """Return the explanation with one effect replaced by another one, fitted from given values."""
-    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
-    _, _, known = chosen.problem.split(chosen.theta)
-    parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
-    problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
-    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), steps)
-
-
-def _closest_exchanged(
-    context: FitContext,
-    chosen: Fitted,
-    effect: Effect,
-    others: Iterable[tuple[Effect, Sequence[float]]],
-    steps: int,
-) -> Fitted | None:
-    """Return the explanation with the closest of some effects in place of one, by a few samples; then fitted to all."""
-    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-    tried = [
-        _exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)
-    ]
-    if not tried:
-        return None
-    closest = closest_first(tried)[0]
-    return fit(replace(closest.problem, rows=context.fine), closest.theta, FINE_STEPS)
 
 
 def _width_of_play(friction: Effect, values: Sequence[float]) -> float:
