@@ -19,7 +19,7 @@ from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
 from autotuner.core.diagnosis.search.acceptance import dropped_back, is_accepted
-from autotuner.core.diagnosis.search.dynamics_search import with_process_beside_wave
+from autotuner.core.diagnosis.search.joint.dynamics import with_process_beside_wave
 from autotuner.core.diagnosis.search.judge import by_chance, held_out, is_foreseen, is_supported, weigh, weighs_enough
 from autotuner.core.diagnosis.search.search import extend
 from autotuner.core.diagnosis.search.simplify import with_plain_drift, with_plain_limit, with_steps

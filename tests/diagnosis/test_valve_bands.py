@@ -13,8 +13,8 @@ from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.record.dataset import dataset_of
-from autotuner.core.diagnosis.search.friction_search import with_friction_beside_a_load
-from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of, positions
+from autotuner.core.diagnosis.search.joint.friction import with_friction_beside_a_load
+from autotuner.core.diagnosis.search.joint.valve_bands import Bands, bands_of, positions
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.model.zoh_input import HeldInput
 

@@ -29,8 +29,8 @@ from autotuner.core.diagnosis.record.sensor import (
     spikes_of,
 )
 from autotuner.core.diagnosis.search.acceptance import is_noise
+from autotuner.core.diagnosis.search.joint.late_moves import with_own_times
 from autotuner.core.diagnosis.search.judge import VISIBLE, held_out, noise_of
-from autotuner.core.diagnosis.search.late_moves import with_own_times
 from autotuner.core.diagnosis.search.measured_disturbances import with_known
 from autotuner.core.diagnosis.search.trace import Trace, trace
 from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly

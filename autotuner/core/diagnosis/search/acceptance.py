@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
-from autotuner.core.diagnosis.search.friction_search import that_stick
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import (
     NOISE_ELSEWHERE,
     NOTHING_LEFT,
@@ -20,9 +20,14 @@ from autotuner.core.diagnosis.search.judge import (
 from autotuner.core.diagnosis.search.search import without
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+
+NEAR = 1.5
+"""Error over that of the best explanation up to which friction is named where the valve is seen to stick."""
 
 
 def is_noise(context: FitContext, candidate: Fitted) -> bool:
@@ -96,3 +101,15 @@ def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
         if alone and not needed:
             return dropped_back(context, base, simpler)
     return best
+
+
+def that_stick(context: FitContext, accepted: Sequence[Fitted]) -> list[Fitted]:
+    """Return of accepted explanations those with friction that come near the best, where the valve is seen to stick.
+
+    The waiting of the PV is evidence that no misfit contains: a free load follows a slip as closely as friction does.
+    """
+    if not accepted or not waiting_of(context.dataset).sticks:
+        return []
+    best = min(context.on_both_parts(c) for c in accepted)
+    frictional = [c for c in accepted if SLIPS & set(c.names)]
+    return [c for c in frictional if context.on_both_parts(c) < NEAR**2 * best]

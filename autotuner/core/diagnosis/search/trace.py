@@ -24,9 +24,10 @@ from autotuner.core.diagnosis.search.acceptance import (
     is_free_load,
     is_near_later,
     is_noise,
+    that_stick,
 )
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
-from autotuner.core.diagnosis.search.dynamics_search import (
+from autotuner.core.diagnosis.search.joint.dynamics import (
     with_curve_beside_a_load,
     with_curve_in_loop,
     with_less_dead_time,
@@ -34,22 +35,21 @@ from autotuner.core.diagnosis.search.dynamics_search import (
     with_slow_or_switched_output,
     with_varying_dead_time,
 )
-from autotuner.core.diagnosis.search.friction_search import (
-    that_stick,
+from autotuner.core.diagnosis.search.joint.friction import (
     with_friction,
     with_friction_beside_a_load,
     with_process_friction,
     with_wave,
 )
+from autotuner.core.diagnosis.search.joint.late_moves import late_instead, with_other_grids, with_uneven_updates
+from autotuner.core.diagnosis.search.joint.positions import with_positions
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
     is_beside_free_load,
     noise_of,
 )
-from autotuner.core.diagnosis.search.late_moves import late_instead, with_other_grids, with_uneven_updates
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
-from autotuner.core.diagnosis.search.position_search import with_positions
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     alone_beside,

@@ -22,7 +22,6 @@ import numpy as np
 from autotuner.core.diagnosis.effects.actuator.friction import (
     LARGEST,
     LARGEST_LEFT,
-    SLIPS,
     SMALLEST,
     SMALLEST_IN_LOOP,
     TURNING,
@@ -42,6 +41,7 @@ from autotuner.core.diagnosis.extended.extended_model import (
     without_rounding,
 )
 from autotuner.core.diagnosis.record.waiting import waiting_of
+from autotuner.core.diagnosis.search.joint.valve_bands import Bands, bands_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import (
     alone_beside,
@@ -53,7 +53,6 @@ from autotuner.core.diagnosis.search.search import (
     with_second_lag,
     within,
 )
-from autotuner.core.diagnosis.search.valve_bands import Bands, bands_of
 from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
 
 if TYPE_CHECKING:
@@ -79,8 +78,6 @@ AROUND = (
 )
 """How far around a travel others are tried, as a share of it, and how many; the same for what is left of the band; and
 other dead times, in sample intervals; ever nearer."""
-NEAR = 1.5
-"""Error over that of the best explanation up to which friction is named where the valve is seen to stick."""
 NEARER = 0.9
 """Error over that of the process alone up to which bands are followed."""
 WAVE_STEPS = 5
@@ -230,18 +227,6 @@ def _around(
         found = [2.0 * bands.bands[m]] if is_play else [bands.bands[m], bands.left[m]]
         tried.append(fit(problem, np.array([*others[n], *found]), FEW_STEPS))
     return tried
-
-
-def that_stick(context: FitContext, accepted: Sequence[Fitted]) -> list[Fitted]:
-    """Return of accepted explanations those with friction that come near the best, where the valve is seen to stick.
-
-    The waiting of the PV is evidence that no misfit contains: a free load follows a slip as closely as friction does.
-    """
-    if not accepted or not waiting_of(context.dataset).sticks:
-        return []
-    best = min(context.on_both_parts(c) for c in accepted)
-    frictional = [c for c in accepted if SLIPS & set(c.names)]
-    return [c for c in frictional if context.on_both_parts(c) < NEAR**2 * best]
 
 
 def _beside_the_free(context: FitContext, origin: Fitted, effect: Effect) -> list[Fitted]:

@@ -1,0 +1,1 @@
+"""Effects that are searched together with the process: the process alone is far from the one beside them."""
