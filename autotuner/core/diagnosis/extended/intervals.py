@@ -106,17 +106,22 @@ def _residual(context: FitContext, fitted: Fitted) -> FloatArray:
 
 
 def effect_intervals(context: FitContext, fitted: Fitted, others: Neighbours = ()) -> list[dict[str, Interval]]:
-    """Return the intervals of the sizes of all effects, in their order; `others` with their weights."""
+    """Return the intervals of the sizes of all effects, in their order; `others` with their weights.
+
+    Those with other sizes do not count: the curvature of a cubic is not that of the line and the square alone.
+    """
     centre, own = fitted.sizes(), _effect_intervals(context, fitted)
-    others = tuple((weight, f) for weight, f in others if f.names == fitted.names)
+    sized = [(name, *sizes) for name, sizes in zip(fitted.names, centre, strict=True)]
+    others = tuple(
+        (weight, f)
+        for weight, f in others
+        if [(name, *sizes) for name, sizes in zip(f.names, f.sizes(), strict=True)] == sized
+    )
     if len(others) < 2:
         return own
     found = [(w, f.sizes(), own if f is fitted else _effect_intervals(context, f)) for w, f in others]
     return [
-        {
-            name: averaged(sizes[name], ((w, s[row][name], i[row][name]) for w, s, i in found if name in s[row]))
-            for name in sizes
-        }
+        {name: averaged(sizes[name], ((w, s[row][name], i[row][name]) for w, s, i in found)) for name in sizes}
         for row, sizes in enumerate(centre)
     ]
 

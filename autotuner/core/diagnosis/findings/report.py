@@ -127,10 +127,8 @@ def reported(
     verdict, cut = _outcome(context, found.chosen, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
-    plain = to_both_parts(context, found.alone)
-    before = model if model is not None else plain.process()
-    described = model_to_dict(before)
-    alone = Known(before, process_covariance(context, plain) if model is None else None)
+    alone = _known_alone(context, found.alone, model)
+    described = model_to_dict(alone.model)
     after = Known(final.process(), covariance) if kept else alone
     blind = blind_spots(context, found.chosen, found.noise)
     judged = model is None and not context.dataset.tuned
@@ -162,6 +160,14 @@ def reported(
         blocks=errors.of_blocks(),
         missing=missing,
     )
+
+
+def _known_alone(context: FitContext, alone: Fitted, model: ProcessModel | None) -> Known:
+    """Return the model without effects: the declared one, else that of the record."""
+    if model is not None:
+        return Known(model)
+    plain = to_both_parts(context, alone)
+    return Known(plain.process(), process_covariance(context, plain))
 
 
 def _all_effects(
