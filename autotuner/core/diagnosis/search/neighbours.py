@@ -24,8 +24,16 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
-from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, within
+from autotuner.core.diagnosis.search.acceptance import is_near_later
+from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
+from autotuner.core.diagnosis.search.search import (
+    AS_NEAR,
+    FINE_STEPS,
+    QUICK_STEPS,
+    best_on_both_parts,
+    refined,
+    within,
+)
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
 
 if TYPE_CHECKING:
@@ -42,6 +50,8 @@ WINDOW = 2.0 * math.log(20.0)
 """How much higher the criterion of a form may be that is as plain: odds of 20 (Madigan and Raftery)."""
 ALIKE_MISFIT = 1.04
 """Ratio of the errors on the part not fitted under which two forms predict it about as well."""
+FOLLOWED = 5
+"""Closest effects whose other starts are tried."""
 SHARES = (0.05, 0.2)
 """Initial guesses of the further lag, relative to the longest number of the process."""
 
@@ -179,3 +189,35 @@ def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[flo
         tuple(known.get(s.name, value) for s, value in zip(form.searched, start, strict=True)) for start in form.starts
     )
     return list(dict.fromkeys(starts))
+
+
+def with_other_starts(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
+    """Return the closest explanations from the starts of their effect that predict the other part best.
+
+    A band wider than all moves, or a limit that none reaches, has no slope. The fitted part leaves such numbers open
+    where the closest explanation leaves noise there and fails on the other part.
+    """
+    if not found or context.dataset.tuned or not _fails_later(context, found[0]):
+        return []
+    near = {c.problem.effects[0].key: c for c in reversed(found) if _is_alone_and_near(c, found[0])}
+    tried = [_from_each_start(context, c, c.problem.effects[0]) for c in list(near.values())[-FOLLOWED:]]
+    return [c for of in tried for c in best_on_both_parts(context, of)[:1]]
+
+
+def _fails_later(context: FitContext, candidate: Fitted) -> bool:
+    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and not is_near_later(context, candidate)
+
+
+def _is_alone_and_near(candidate: Fitted, closest: Fitted) -> bool:
+    return len(candidate.names) == 1 and candidate.rms < AS_NEAR * closest.rms
+
+
+def _from_each_start(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
+    """Return an explanation from each start of its effect, as far as these come as near on the fitted part."""
+    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
+    tried = [
+        exchanged(thinned, effect, effect, start, QUICK_STEPS)
+        for start in within(context.dataset.budget, effect.starts)
+    ]
+    again = [refined(context, c) for c in tried if c.rms < AS_NEAR * chosen.rms]
+    return [c for c in again if c.rms < AS_NEAR * chosen.rms and is_physical(c)]

@@ -50,6 +50,7 @@ from autotuner.core.diagnosis.search.judge import (
     noise_of,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
+from autotuner.core.diagnosis.search.neighbours import with_other_starts
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     alone_beside,
@@ -164,7 +165,7 @@ def trace(
         found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
         if not found:
             break
-        found = closest_first([*found, *with_other_grids(context, found)])
+        found = closest_first([*found, *with_other_grids(context, found), *with_other_starts(context, found)])
         found = closest_first([*found, *_exchanged(context, found, effects)])
         found = closest_first([*found, *_in_other_forms(context, found, effects)])
         pool += found
