@@ -22,6 +22,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
 from autotuner.core.diagnosis.search.acceptance import is_near_later
@@ -192,24 +193,21 @@ def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[flo
 
 
 def with_other_starts(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
-    """Return the closest explanations from the starts of their effect that predict the other part best.
+    """Return the closest effects of the actuator from those of their starts that predict the other part best.
 
     A band wider than all moves, or a limit that none reaches, has no slope. The fitted part leaves such numbers open
     where the closest explanation leaves noise there and fails on the other part.
     """
     if not found or context.dataset.tuned or not _fails_later(context, found[0]):
         return []
-    near = {c.problem.effects[0].key: c for c in reversed(found) if _is_alone_and_near(c, found[0])}
+    alone = [c for c in found if len(c.names) == 1 and c.problem.effects[0].place is Place.ACTUATOR]
+    near = {c.problem.effects[0].key: c for c in reversed(alone) if c.rms < AS_NEAR * found[0].rms}
     tried = [_from_each_start(context, c, c.problem.effects[0]) for c in list(near.values())[-FOLLOWED:]]
     return [c for of in tried for c in best_on_both_parts(context, of)[:1]]
 
 
 def _fails_later(context: FitContext, candidate: Fitted) -> bool:
     return candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and not is_near_later(context, candidate)
-
-
-def _is_alone_and_near(candidate: Fitted, closest: Fitted) -> bool:
-    return len(candidate.names) == 1 and candidate.rms < AS_NEAR * closest.rms
 
 
 def _from_each_start(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
