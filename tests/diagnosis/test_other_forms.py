@@ -32,3 +32,14 @@ def test_the_form_that_was_hidden_takes_the_place_of_a_near_one(key, seed, exper
     answer = diagnose(Recording.from_csv_text(hidden.csv()))
     assert [(e.name, e.form) for e in answer.effects] == [(key.partition(":")[0], form)]
     assert answer.error["held_out"].after < 1.1 * hidden.sigma
+
+
+def test_a_band_that_the_fitted_part_leaves_open_is_chosen_by_the_selection_part():
+    """Under a relay every move is wider than the band; only the steps that follow are not."""
+    hidden = record_of(Case("stiction:stick and slip", 783, "relay"))
+    answer = diagnose(Recording.from_csv_text(hidden.csv()))
+    (effect,) = answer.effects
+    low, high = effect.interval95["jump"]
+    assert effect.name == "stiction"
+    assert low < hidden.hidden.sizes["jump"] < high
+    assert answer.error["held_out"].after < 1.1 * hidden.sigma

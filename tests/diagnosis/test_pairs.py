@@ -22,12 +22,9 @@ from autotuner.core.diagnosis.search.acceptance import dropped_back, is_accepted
 from autotuner.core.diagnosis.search.joint.dynamics import with_process_beside_wave
 from autotuner.core.diagnosis.search.judge import by_chance, held_out, is_foreseen, is_supported, weigh, weighs_enough
 from autotuner.core.diagnosis.search.search import extend
+from autotuner.core.diagnosis.search.several_effects import with_exchanged_effects, with_exchanged_forms
 from autotuner.core.diagnosis.search.simplify import with_plain_drift, with_plain_limit, with_steps
-from autotuner.core.diagnosis.search.trace import (
-    _exchanged,
-    _in_other_forms,
-    _is_done,
-)
+from autotuner.core.diagnosis.search.trace import _is_done
 from autotuner.core.signals.noise import rms
 from autotuner_sim import (
     Backlash,
@@ -66,7 +63,7 @@ def test_a_free_load_beside_a_limit_is_exchanged_for_the_drift_that_it_follows()
     start = at_the_truth(recording, LAG, (limit, [3.0 / context.dataset.swing]), (free, []), dataset=context.dataset)
     pair = fit(start.problem, start.theta, 5)
     drift = of_form(loads_of(context.dataset), "drift")
-    found = _exchanged(context, [pair], [drift])[0]
+    found = with_exchanged_effects(context, [pair], [drift])[0]
     assert found.names == ("saturation", "drift")
     assert found.rms < 1.1 * SIGMA
     assert context.held_out_error(found) < 1.2 * SIGMA < 0.5 * context.held_out_error(pair)
@@ -84,7 +81,7 @@ def test_a_load_that_enters_a_process_with_a_slow_mode_is_exchanged_at_its_input
     start = at_the_truth(recording, LAG, (load, [250.0 / context.dataset.span_s]), (free, []), dataset=context.dataset)
     pair = fit(start.problem, start.theta, 5)
     mode = of_form(process_effects(context.dataset, start), "slow_mode")
-    found = _exchanged(context, [pair], [mode])[0]
+    found = with_exchanged_effects(context, [pair], [mode])[0]
     assert [e.key for e in found.problem.effects] == ["slow_mode", "load_step:at the input"]
     assert found.rms < 1.1 * SIGMA < 0.5 * pair.rms
 
@@ -96,7 +93,7 @@ def test_the_right_form_is_found_from_a_pair_with_another_form_of_its_name():
     start = at_the_truth(recording, LAG, (drift, []), dataset=context.dataset)
     effects = process_effects(context.dataset, start)
     pair = extend(context, [start], [of_form(effects, "direction_dynamics")])[0]
-    found = closest_first(_in_other_forms(context, [pair], effects))[0]
+    found = closest_first(with_exchanged_forms(context, [pair], effects))[0]
     assert [e.key for e in found.problem.effects] == ["direction_dynamics:element", "drift"]
     assert found.rms < 1.1 * SIGMA < 0.5 * pair.rms
 
@@ -192,8 +189,8 @@ def with_a_column(**physics):
 def test_no_other_effect_is_searched_in_place_of_a_measured_disturbance():
     context, _, pair = with_a_column(offsets=[Drift(0.01)])
     drift = of_form(loads_of(context.dataset), "drift")
-    assert {c.names for c in _exchanged(context, [pair], [drift])} == {("measured_disturbance", "drift")}
-    assert _in_other_forms(context, [pair], loads_of(context.dataset)) == []
+    assert {c.names for c in with_exchanged_effects(context, [pair], [drift])} == {("measured_disturbance", "drift")}
+    assert with_exchanged_forms(context, [pair], loads_of(context.dataset)) == []
 
 
 @pytest.mark.parametrize(("hidden", "kept"), [({"loads": [PeriodicLoad(0.3, 40.0)]}, True), ({}, False)])

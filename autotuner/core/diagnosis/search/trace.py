@@ -7,7 +7,6 @@ that only work together are found; in the end each one must be needed with the o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import permutations
 from typing import TYPE_CHECKING
 
 from autotuner.core.diagnosis.effects import catalogue
@@ -46,26 +45,26 @@ from autotuner.core.diagnosis.search.joint.positions import with_positions
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
-    is_beside_free_load,
     noise_of,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.neighbours import with_other_starts
 from autotuner.core.diagnosis.search.search import (
-    AS_NEAR,
-    alone_beside,
     at_the_input,
     best_on_both_parts,
     better_of,
-    disturbances_of,
     extend,
     finished,
     form_of,
-    has_several,
-    in_each_form,
     sketched,
     within,
-    without,
+)
+from autotuner.core.diagnosis.search.several_effects import (
+    distinct,
+    with_each_searched_again,
+    with_exchanged_effects,
+    with_exchanged_forms,
+    without_disturbance,
 )
 from autotuner.core.diagnosis.search.simplify import (
     CURVES,
@@ -97,8 +96,6 @@ if TYPE_CHECKING:
 
 MOST_EFFECTS = 3
 """Most effects of one explanation: with more free effects the search could explain any record."""
-EXCHANGED = 3
-"""Pairs whose effects are searched again, each beside the other, and tried in other forms."""
 COLOURED = 2.0
 """Samples per independent one from which a residual as small as the noise may hide a further effect."""
 KNOWN = 6
@@ -166,8 +163,8 @@ def trace(
         if not found:
             break
         found = closest_first([*found, *with_other_grids(context, found), *with_other_starts(context, found)])
-        found = closest_first([*found, *_exchanged(context, found, effects)])
-        found = closest_first([*found, *_in_other_forms(context, found, effects)])
+        found = closest_first([*found, *with_exchanged_effects(context, found, effects)])
+        found = closest_first([*found, *with_exchanged_forms(context, found, effects)])
         pool += found
         context.dataset.budget.report(_how_far(context, found[0]))
         following, accepted = _following(context, base, best, found)
@@ -187,7 +184,7 @@ def trace(
     best, late = with_uneven_updates(context, base, best)
     pool += curved
     chosen, tried = _with_needed_effects(context, base, best, steps, effects)
-    tried += _without_disturbance(context, best, chosen, pool)
+    tried += without_disturbance(context, best, chosen, pool)
     chosen, stepped = with_steps(context, chosen)
     pool += [*tried, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or late_instead(context, base, chosen)
@@ -204,25 +201,8 @@ def _with_needed_effects(
     dropped = dropped_back(context, base, best)
     as_many = [step for step in steps if len(step.names) == len(dropped.names)]
     chosen = _in_plainest_form(context, better_of(context, [dropped, *as_many]), effects)
-    closest, tried = _with_each_searched_again(context, chosen, effects)
+    closest, tried = with_each_searched_again(context, chosen, effects)
     return (chosen if closest is chosen else dropped_back(context, base, closest)), tried
-
-
-def _without_disturbance(context: FitContext, best: Fitted, chosen: Fitted, pool: Sequence[Fitted]) -> list[Fitted]:
-    """Return other explanations without their disturbance, where the chosen one is the best one without its own.
-
-    Beside a disturbance they were found, and alone they were not searched for: the chosen one may be one of several.
-    """
-    gone = [e for e in best.problem.effects if e.name not in chosen.names]
-    if len(gone) != 1 or not disturbances_of(gone) or len(best.names) != len(chosen.names) + 1 or not chosen.names:
-        return []
-    beside = [
-        c for c in _distinct(closest_first(pool)) if len(c.names) == len(best.names) and c.rms < AS_NEAR * best.rms
-    ]
-    others = [(c, e) for c in beside for e in disturbances_of(c.problem.effects)]
-    others = [(c, e) for c, e in others if {*c.names} - {e.name} != {*chosen.names}][:BEAM]
-    left = [without(context, c, e) for c, e in within(context.dataset.budget, others)]
-    return [c for c in left if is_physical(c)]
 
 
 def _without_effects(context: FitContext, base: Base, alone: Fitted, chosen: Fitted) -> tuple[Fitted, Fitted]:
@@ -263,7 +243,7 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
     """Return explanations by one effect of other samples, the closest of each name, fitted to these."""
-    closest = [c for c in _distinct(closest_first(earlier)) if len(c.problem.effects) == 1][:KNOWN]
+    closest = [c for c in distinct(closest_first(earlier)) if len(c.problem.effects) == 1][:KNOWN]
     again = (
         fit(replace(c.problem, dataset=context.dataset, rows=context.fine), c.theta)
         for c in within(context.dataset.budget, closest)
@@ -295,75 +275,14 @@ def _carried(
     other ones are extended beside it.
     """
     if context.dataset.tuned:
-        return [[c] for c in _distinct(found)[:BEAM]]
+        return [[c] for c in distinct(found)[:BEAM]]
     every = [*found, *(c for of in sketches for c in of)]
     single = [c for c in every if len(c.names) == 1 and is_physical(c)]
     free = is_free_load(context, best)
     other = [c for c in single if c.names != best.names or (free and not is_free_load(context, c))]
-    others = _distinct(closest_first(other))[:BEAM]
+    others = distinct(closest_first(other))[:BEAM]
     groups = [[best]] if best.problem.effects or not others else []
     return [*groups, others] if others else groups
-
-
-def _exchanged(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
-    """Return pairs with either effect of the closest ones searched again, from the process that the two leave.
-
-    A free load beside the right effect follows the other one, and shows the process; a first effect that was accepted
-    alone may stand in for another, which is found beside the second only. A measured disturbance is known, and stays.
-    """
-    pairs = [at_the_input(context, c) for c in _to_improve(context, found)[:EXCHANGED]]
-    kept = [
-        (c, e)
-        for c in pairs
-        for e in c.problem.effects
-        if e.reads_as is None and not any(other.measured for other in c.problem.effects if other is not e)
-    ]
-    return extend(context, [alone_beside(context, c, e) for c, e in kept], effects) if kept else []
-
-
-def _with_each_searched_again(
-    context: FitContext, chosen: Fitted, effects: Sequence[Effect]
-) -> tuple[Fitted, list[Fitted]]:
-    """Return several effects, each the best one beside the others, and all that was tried.
-
-    Where a search begins decides which of several effects it finds beside another one. Where they leave more than
-    noise, they were exchanged before: then, only others at the same place are tried.
-    """
-    tried: list[Fitted] = []
-    if not has_several(context, chosen):
-        return chosen, tried
-    is_left = chosen.rms >= NOTHING_LEFT * noise_of(context, chosen)
-    for effect in chosen.problem.effects:
-        kept = [e for e in chosen.problem.effects if e is not effect]
-        others = [e for e in effects if e.name not in chosen.names and (not is_left or e.place is effect.place)]
-        if effect.reads_as is None and others and not context.dataset.budget.spent:
-            tried += extend(context, [alone_beside(context, chosen, *kept)], others)
-    near = [c for c in tried if context.criterion(c, 1.0) < context.criterion(chosen, 1.0)]
-    return best_on_both_parts(context, [chosen, *near])[0], tried
-
-
-def _to_improve(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
-    """Return the pairs of a record that is no experiment, the closest first; none where something leaves only noise."""
-    if context.dataset.tuned or any(is_noise(context, c) for c in found):
-        return []
-    return [c for c in _distinct(found) if len(c.names) == 2]
-
-
-def _in_other_forms(context: FitContext, found: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
-    """Return the closest pairs with either effect in the other forms of its name.
-
-    A form whose size is far from each start looks no better than none beside another effect, and is passed over. A
-    measured disturbance is known, and stays.
-    """
-    pairs = [c for c in _to_improve(context, found) if not is_beside_free_load(c)][:EXCHANGED]
-    exchanges = [
-        (alone_beside(context, c, kept), forms)
-        for c in pairs
-        for kept, exchanged in permutations(c.problem.effects)
-        if not exchanged.measured
-        and (forms := [e for e in effects if e.name == exchanged.name and e.form != exchanged.form])
-    ]
-    return [c for beside, forms in exchanges for c in in_each_form(context, beside, forms)]
 
 
 def _with_free_curve(
@@ -474,11 +393,3 @@ def _steps_instead(context: FitContext, chosen: Fitted, pool: Sequence[Fitted]) 
         return []
     curves = [c for c in pool if len(c.names) == 1 and set(c.names) <= CURVES and c.rms < NOTHING_LEFT * chosen.rms]
     return with_steps(context, closest_first(curves)[0])[1] if curves else []
-
-
-def _distinct(found: Sequence[Fitted]) -> list[Fitted]:
-    """Return the best of each set of names."""
-    kept: dict[tuple[str, ...], Fitted] = {}
-    for candidate in found:
-        kept.setdefault(tuple(sorted(candidate.names)), candidate)
-    return list(kept.values())
