@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
 from autotuner.core.diagnosis.effects.actuator.levels import step_grids
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation
 from autotuner.core.diagnosis.effects.disturbance import curved_drift
@@ -33,6 +34,7 @@ from autotuner.core.diagnosis.effects.waves import SLOW_WAVE
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.search.acceptance import that_stick
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import (
     closest_exchanged,
@@ -192,12 +194,16 @@ def with_plain_drift(context: FitContext, chosen: Fitted, effects: Sequence[Effe
 def with_one_form(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with one effect less where another one in another form does as much.
 
-    From the process alone the search may not find that form, and mend the wrong one with a further effect.
+    From the process alone the search may not find that form, and mend the wrong one with a further effect. Friction
+    stays where the valve is seen to stick.
     """
     if not has_several(context, chosen):
         return chosen
     tried = []
+    seen = SLIPS if that_stick(context, [chosen]) else frozenset()
     for kept, dropped in permutations(chosen.problem.effects, 2):
+        if dropped.name in seen:
+            continue
         forms = [e for e in effects if e.name == kept.name and e.form != kept.form]
         beside = [e for e in chosen.problem.effects if e not in {kept, dropped}]
         if forms and not context.dataset.budget.spent:
