@@ -144,13 +144,22 @@ def test_a_process_without_gains_says_so():
     assert missing_note(shown, ()) == []
 
 
-def test_a_process_without_dead_time_says_why_it_has_no_gains():
-    quick = Known(Fopdt(2.0, 10.0, 0.0))
+@pytest.mark.parametrize("model", [Fopdt(2.0, 10.0, 0.0), Integrating(0.001, 0.0, 0.0)])
+def test_a_process_without_dead_time_says_why_it_has_no_gains(model):
+    quick = Known(model)
     shown = both_gains(quick, quick, (), DATASET)
     assert shown == {"before": None, "after": None}
     (words,) = no_design_note(shown, quick, NOMINAL)
     assert "nothing limits the gain" in words
     assert no_design_note(both_gains(Known(PLANT), Known(PLANT), (), DATASET), Known(PLANT), NOMINAL) == []
+
+
+def test_an_error_of_arithmetic_is_no_reason_that_a_reader_gets():
+    def choose(_model, _covariance):
+        raise ZeroDivisionError("float division by zero")
+
+    (words,) = no_design_note({"before": None, "after": None}, Known(PLANT), Design("none", choose))
+    assert words.startswith("no gains: the design has no solution for this process")
 
 
 @pytest.mark.parametrize(("model", "expected"), [

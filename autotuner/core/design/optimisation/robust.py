@@ -152,9 +152,10 @@ def _within(model: ProcessModel, requested: Requirements, sigma: FloatArray | No
 def _ultimate_period(model: ProcessModel) -> float:
     """Return the period at which the process would oscillate, after checking that there is one."""
     lags = sum_of_lags(model)
-    point = ultimate_point(model)
+    short = SHORTEST_SHARE * lags >= model.D
+    point = None if short else ultimate_point(model)
     refusals = {
-        "is so short that nothing limits the gain": SHORTEST_SHARE * lags >= model.D,
+        "is so short that nothing limits the gain": short,
         "is too long: no PID controller stabilises this process": point is None,
         f"is over {LARGEST_DEAD_TIME_RATIO:g} times the lags, which no record can distinguish from a pure delay": (
             lags * LARGEST_DEAD_TIME_RATIO < model.D and not isinstance(model, Integrating)

@@ -72,6 +72,7 @@ STEP = 0.3
 """Size of the steps: of the set point in gains times the output's swing, of the load in swings."""
 NO_DESIGN = (AutotunerError, ValueError, ArithmeticError)
 """What a design raises for a model that it has no gains for."""
+NO_SOLUTION = "the design has no solution for this process; identify it more exactly"
 LASTS = 25.0
 """Length of a response, in sums of lags and dead time."""
 
@@ -193,7 +194,7 @@ def no_design_note(gains: Mapping[str, Any], known: Known, requested: Design) ->
     try:
         requested.choose(known.model, known.covariance)
     except NO_DESIGN as error:
-        return [f"no gains: {error}"]
+        return [f"no gains: {error if isinstance(error, AutotunerError) else NO_SOLUTION}"]
     return []
 
 
