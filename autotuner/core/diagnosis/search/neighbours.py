@@ -22,23 +22,15 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
-from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
-from autotuner.core.diagnosis.search.acceptance import is_near_later
-from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
-from autotuner.core.diagnosis.search.search import (
-    AS_NEAR,
-    FINE_STEPS,
-    QUICK_STEPS,
-    best_on_both_parts,
-    refined,
-    within,
-)
+from autotuner.core.diagnosis.search.exchange import in_another_form
+from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, within
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
@@ -51,8 +43,6 @@ WINDOW = 2.0 * math.log(20.0)
 """How much higher the criterion of a form may be that is as plain: odds of 20 (Madigan and Raftery)."""
 ALIKE_MISFIT = 1.04
 """Ratio of the errors on the part not fitted under which two forms predict it about as well."""
-FOLLOWED = 5
-"""Closest effects whose other starts are tried."""
 SHARES = (0.05, 0.2)
 """Initial guesses of the further lag, relative to the longest number of the process."""
 
@@ -139,83 +129,3 @@ def _with(chosen: Fitted, effect: Effect, richer: Effect) -> tuple[Extended, Flo
     end = ends[chosen.problem.effects.index(effect) + 1]
     more = len(richer.searched) - len(effect.searched)
     return replace(chosen.problem, effects=effects), np.insert(chosen.theta, [end] * more, 0.0)
-
-
-def values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
-    """Return the fitted values of one of the effects."""
-    _, _, values = chosen.problem.split(chosen.theta)
-    return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
-
-
-def exchanged(
-    chosen: Fitted, effect: Effect, other: Effect, values: Sequence[float], steps: int = FINE_STEPS
-) -> Fitted:
-    """Return the explanation with one effect replaced by another one, fitted from given values."""
-    head = chosen.theta[: len(chosen.problem.structure.shape) + 1]
-    _, _, known = chosen.problem.split(chosen.theta)
-    parts = [list(values) if e is effect else p for e, p in zip(chosen.problem.effects, known, strict=True)]
-    problem = replace(chosen.problem, effects=tuple(other if e is effect else e for e in chosen.problem.effects))
-    return fit(problem, np.concatenate([head, *(np.array(p, dtype=np.float64) for p in parts)]), steps)
-
-
-def closest_exchanged(
-    context: FitContext,
-    chosen: Fitted,
-    effect: Effect,
-    others: Iterable[tuple[Effect, Sequence[float]]],
-    steps: int,
-) -> Fitted | None:
-    """Return the explanation with the closest of some effects in place of one, by a few samples; then fitted to all."""
-    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-    tried = [
-        exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)
-    ]
-    if not tried:
-        return None
-    closest = closest_first(tried)[0]
-    return fit(replace(closest.problem, rows=context.fine), closest.theta, FINE_STEPS)
-
-
-@lru_cache(maxsize=16)
-def in_another_form(context: FitContext, chosen: Fitted, effect: Effect) -> Fitted | None:
-    """Return the explanation with one effect in the closest of its other forms; None without any. Cached."""
-    starts = ((form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form))
-    return closest_exchanged(context, chosen, effect, starts, QUICK_STEPS)
-
-
-def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[float, ...]]:
-    """Return the starts of another form, with what was found for numbers of the same name; a choice is left open."""
-    known = {s.name: value for s, value in zip(effect.searched, values_of(chosen, effect), strict=True) if s.step}
-    starts = (
-        tuple(known.get(s.name, value) for s, value in zip(form.searched, start, strict=True)) for start in form.starts
-    )
-    return list(dict.fromkeys(starts))
-
-
-def with_other_starts(context: FitContext, found: Sequence[Fitted]) -> list[Fitted]:
-    """Return the closest effects of the actuator from those of their starts that predict the other part best.
-
-    A band wider than all moves, or a limit that none reaches, has no slope. The fitted part leaves such numbers open
-    where the closest explanation leaves noise there and fails on the other part.
-    """
-    if not found or context.dataset.tuned or not _fails_later(context, found[0]):
-        return []
-    alone = [c for c in found if len(c.names) == 1 and c.problem.effects[0].place is Place.ACTUATOR]
-    near = {c.problem.effects[0].key: c for c in reversed(alone) if c.rms < AS_NEAR * found[0].rms}
-    tried = [_from_each_start(context, c, c.problem.effects[0]) for c in list(near.values())[-FOLLOWED:]]
-    return [c for of in tried for c in best_on_both_parts(context, of)[:1]]
-
-
-def _fails_later(context: FitContext, candidate: Fitted) -> bool:
-    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and not is_near_later(context, candidate)
-
-
-def _from_each_start(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
-    """Return an explanation from each start of its effect, as far as these come as near on the fitted part."""
-    thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-    tried = [
-        exchanged(thinned, effect, effect, start, QUICK_STEPS)
-        for start in within(context.dataset.budget, effect.starts)
-    ]
-    again = [refined(context, c) for c in tried if c.rms < AS_NEAR * chosen.rms]
-    return [c for c in again if c.rms < AS_NEAR * chosen.rms and is_physical(c)]

@@ -35,14 +35,9 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.acceptance import that_stick
+from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_another_form, values_of
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
-from autotuner.core.diagnosis.search.neighbours import (
-    closest_exchanged,
-    exchanged,
-    in_another_form,
-    one_lag_more,
-    values_of,
-)
+from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,

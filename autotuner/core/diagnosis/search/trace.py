@@ -26,6 +26,7 @@ from autotuner.core.diagnosis.search.acceptance import (
     that_stick,
 )
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
+from autotuner.core.diagnosis.search.exchange import with_other_starts
 from autotuner.core.diagnosis.search.joint.dynamics import (
     with_curve_beside_a_load,
     with_curve_in_loop,
@@ -48,7 +49,6 @@ from autotuner.core.diagnosis.search.judge import (
     noise_of,
 )
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
-from autotuner.core.diagnosis.search.neighbours import with_other_starts
 from autotuner.core.diagnosis.search.search import (
     at_the_input,
     best_on_both_parts,
