@@ -51,6 +51,7 @@ class Model:
     size: int = 3
     price: float = 0.0
     theta: tuple = ()
+    keys: tuple = ()
 
     def simulated(self, rows):
         return self.curve[rows]

@@ -52,7 +52,7 @@ def test_a_command_that_rises_above_the_carrier_begins_another_pulse():
 @pytest.mark.parametrize(("phase", "before", "begins_s"), [(0.0, -0.1, 0.0), (0.25, 2.4, 2.5), (-0.25, 7.4, 7.5)])
 def test_pulses_that_begin_with_the_record_begin_from_rest(phase, before, begins_s):
     held = HeldInput(np.array([0.0]), np.array([0.0]))  # 40 %
-    seen = pulses(held, 40.0, 100.0, 10.0, phase, 30.0, first=0)
+    seen = pulses(held, 40.0, 100.0, 10.0, phase, 30.0, before=0)
     at_s = np.array([-30.0, before, begins_s + 0.1, begins_s + 3.9, begins_s + 4.1, begins_s + 10.1])
     assert seen.at(at_s) == pytest.approx([0.0, 0.0, 60.0, 60.0, -40.0, 60.0])
 

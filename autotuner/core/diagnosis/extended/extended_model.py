@@ -231,6 +231,11 @@ class Fitted:
         return tuple(effect.name for effect in self.problem.effects)
 
     @property
+    def keys(self) -> tuple[str, ...]:
+        """Names and forms of the effects."""
+        return tuple(effect.key for effect in self.problem.effects)
+
+    @property
     def price(self) -> float:
         """Additional penalties of the effects besides their parameters."""
         return sum(effect.price for effect in self.problem.effects)
@@ -322,7 +327,7 @@ def plainness(candidate: Fitted) -> tuple[float, tuple[int, ...], tuple[str, ...
     A limit of the output comes before a curve of the valve: what is nearer to the output is looked at first.
     """
     effects = candidate.problem.effects
-    return candidate.size + candidate.price, tuple(e.rank for e in effects), tuple(e.key for e in effects)
+    return candidate.size + candidate.price, tuple(e.rank for e in effects), candidate.keys
 
 
 def closest_first(fits: Iterable[Fitted]) -> list[Fitted]:

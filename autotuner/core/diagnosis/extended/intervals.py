@@ -111,12 +111,7 @@ def effect_intervals(context: FitContext, fitted: Fitted, others: Neighbours = (
     Those with other sizes do not count: the curvature of a cubic is not that of the line and the square alone.
     """
     centre, own = fitted.sizes(), _effect_intervals(context, fitted)
-    sized = [(name, *sizes) for name, sizes in zip(fitted.names, centre, strict=True)]
-    others = tuple(
-        (weight, f)
-        for weight, f in others
-        if [(name, *sizes) for name, sizes in zip(f.names, f.sizes(), strict=True)] == sized
-    )
+    others = tuple((weight, f) for weight, f in others if _names_of_sizes(f) == _names_of_sizes(fitted))
     if len(others) < 2:
         return own
     found = [(w, f.sizes(), own if f is fitted else _effect_intervals(context, f)) for w, f in others]
@@ -124,6 +119,11 @@ def effect_intervals(context: FitContext, fitted: Fitted, others: Neighbours = (
         {name: averaged(sizes[name], ((w, s[row][name], i[row][name]) for w, s, i in found)) for name in sizes}
         for row, sizes in enumerate(centre)
     ]
+
+
+def _names_of_sizes(fitted: Fitted) -> list[tuple[str, ...]]:
+    """Return the name of each effect with the names of its sizes."""
+    return [(name, *sizes) for name, sizes in zip(fitted.names, fitted.sizes(), strict=True)]
 
 
 def averaged(value: float, alternatives: Iterable[tuple[float, float, Interval]]) -> Interval:

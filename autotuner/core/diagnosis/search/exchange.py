@@ -18,6 +18,7 @@ from autotuner.core.diagnosis.search.search import (
     FINE_STEPS,
     QUICK_STEPS,
     best_on_both_parts,
+    first_of_each,
     refined,
     within,
 )
@@ -92,12 +93,9 @@ def with_other_starts(context: FitContext, found: Sequence[Fitted]) -> list[Fitt
     """
     if not found or context.dataset.tuned or not _fails_later(context, found[0]):
         return []
-    near: dict[str, Fitted] = {}
-    for c in found:
-        effect = c.problem.effects[0]
-        if len(c.names) == 1 and effect.place is Place.ACTUATOR and c.rms < AS_NEAR * found[0].rms:
-            near.setdefault(effect.key, c)
-    tried = [_from_each_start(context, c, c.problem.effects[0]) for c in list(near.values())[:FOLLOWED]]
+    alone = [c for c in found if len(c.names) == 1 and c.problem.effects[0].place is Place.ACTUATOR]
+    near = first_of_each((c for c in alone if c.rms < AS_NEAR * found[0].rms), lambda c: c.keys)
+    tried = [_from_each_start(context, c, c.problem.effects[0]) for c in near[:FOLLOWED]]
     return [c for of in tried for c in best_on_both_parts(context, of)[:1]]
 
 

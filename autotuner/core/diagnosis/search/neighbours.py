@@ -71,14 +71,13 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
 
 def _alike(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...]) -> list[Fitted]:
     """Return the other forms of a pool, one of each, that predict the part not fitted about as well."""
-    problem, known = chosen.problem, {tuple(e.key for e in chosen.problem.effects)}
+    problem, known = chosen.problem, {chosen.keys}
     most = ALIKE_MISFIT * math.hypot(context.held_out_error(chosen), context.dataset.floor)
     found, split = [], _is_split(chosen)
     for other in closest_first(c for c in pool if c.problem.dataset is problem.dataset and c.problem.fixed is None):
-        form = tuple(e.key for e in other.problem.effects)
-        if form in known or len(form) != len(problem.effects) or _is_split(other) != split:
+        if other.keys in known or len(other.keys) != len(problem.effects) or _is_split(other) != split:
             continue
-        known.add(form)
+        known.add(other.keys)
         found += [_as_plain(chosen, other)] if context.held_out_error(other) < most else []
     return found
 

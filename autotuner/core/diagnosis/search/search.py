@@ -29,7 +29,7 @@ from autotuner.core.diagnosis.search.judge import OF_TIME, is_beside_free_load
 from autotuner.core.diagnosis.search.screen import screened, tangent_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.fit_context import FitContext
@@ -170,6 +170,14 @@ def best_on_both_parts(context: FitContext, candidates: Iterable[Fitted]) -> lis
     free = [c for c in ranked if is_beside_free_load(c)]
     others = [c for c in ranked if not is_beside_free_load(c)]
     return [*context.by_criterion(free, min(map(context.colour, free))), *others]
+
+
+def first_of_each(ranked: Iterable[Fitted], kind: Callable[[Fitted], object]) -> list[Fitted]:
+    """Return the first of each kind in a ranking."""
+    kept: dict[object, Fitted] = {}
+    for candidate in ranked:
+        kept.setdefault(kind(candidate), candidate)
+    return list(kept.values())
 
 
 def with_second_lag(theta: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from autotuner.core.diagnosis.search.search import (
     best_on_both_parts,
     disturbances_of,
     extend,
+    first_of_each,
     has_several,
     in_each_form,
     within,
@@ -118,7 +119,4 @@ def without_disturbance(context: FitContext, best: Fitted, chosen: Fitted, pool:
 
 def distinct(found: Sequence[Fitted]) -> list[Fitted]:
     """Return the best of each set of names."""
-    kept: dict[tuple[str, ...], Fitted] = {}
-    for candidate in found:
-        kept.setdefault(tuple(sorted(candidate.names)), candidate)
-    return list(kept.values())
+    return first_of_each(found, lambda candidate: tuple(sorted(candidate.names)))

@@ -45,12 +45,12 @@ BEFORE = 20
 SEARCHED = ("", "by a carrier")
 """Forms by which a search comes to the effect."""
 FORMS = (
-    ("", True, -BEFORE),
-    ("by a carrier", False, -BEFORE),
+    ("", True, BEFORE),
+    ("by a carrier", False, BEFORE),
     ("from the start", True, 0),
     ("by a carrier from the start", False, 0),
 )
-"""All of them: whether a command counts for a whole period, and the period with the first pulse."""
+"""All of them: whether a command counts for a whole period, and the periods with pulses before the record."""
 
 
 def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
@@ -80,23 +80,23 @@ def time_proportioning(dataset: Dataset, residuals: Sequence[FloatArray]) -> tup
             starts,
             lambda p, _c, _g: {"period_s": math.exp(p[0])},
             form=form,
-            position=partial(_switched, full=full, latched=latched, first=first),
+            position=partial(_switched, full=full, latched=latched, before=before),
             order=4,
             price=math.log(len(starts)),
             group="timing",
             clocked=True,
         )
-        for form, latched, first in FORMS
+        for form, latched, before in FORMS
     }
     others = {form: tuple(e for e in forms.values() if e.form != form) for form in forms}
     return tuple(replace(forms[form], other_forms=others[form]) for form in SEARCHED)
 
 
 def _switched(
-    held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, latched: bool, first: int
+    held: HeldInput, p: Sequence[float], dataset: Dataset, *, full: float, latched: bool, before: int
 ) -> HeldInput:
     until_s = float(dataset.data.t[-1])
-    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], until_s, latched=latched, first=first)
+    return pulses(held, dataset.output0, full, math.exp(p[0]), p[1], until_s, latched=latched, before=before)
 
 
 def pulses(
@@ -108,7 +108,7 @@ def pulses(
     until_s: float,
     *,
     latched: bool = True,
-    first: int = -BEFORE,
+    before: int = BEFORE,
 ) -> HeldInput:
     """Return a position that is either 0 or full, as deviation from the first output.
 
@@ -126,10 +126,10 @@ def pulses(
         Time of the last pulse, s.
     latched : bool
         Whether the command at the begin of a period counts for all of it; otherwise a carrier looks at all of them.
-    first : int
-        Period with the first pulse: 0 for one that begins in the record, before which the position is that of rest.
+    before : int
+        Periods with pulses before the record. Before the first pulse the position is that of rest.
     """
-    turns = np.arange(first - (math.floor(phase) if first == 0 else 0), math.ceil(until_s / period_s) + 1)
+    turns = np.arange(-math.floor(before + phase), math.ceil(until_s / period_s) + 1)
     begins = np.asarray((turns + phase) * period_s, dtype=np.float64)
     looks = begins if latched else np.union1d(begins, held.times[held.times > begins[0]])
     turn = np.searchsorted(begins, looks, side="right") - 1

@@ -30,6 +30,7 @@ from autotuner.core.diagnosis.search.search import (
     alone_beside,
     disturbances_of,
     extend,
+    first_of_each,
     form_of,
     free_load_of,
     refined,
@@ -166,11 +167,9 @@ def _curves_beside(
     """Return the closest of each curve of an actuator beside a load with its numbers, where it is closer than that."""
     problem = replace(pair.problem.with_effect(load), rows=context.coarse)
     beside = fit(problem, np.append(pair.theta, numbers), COARSE_STEPS)
-    closest: dict[str, Fitted] = {}
-    for c in closest_first(_beside_each(context, beside, curves, [*_shapes(context.dataset), pair.theta], numbers)):
-        if c.rms < beside.rms and is_physical(c):
-            closest.setdefault(c.problem.effects[0].key, c)
-    return list(closest.values())
+    tried = _beside_each(context, beside, curves, [*_shapes(context.dataset), pair.theta], numbers)
+    closer = (c for c in closest_first(tried) if c.rms < beside.rms and is_physical(c))
+    return first_of_each(closer, lambda c: c.problem.effects[0].key)
 
 
 def _waves_that_disturb(dataset: Dataset) -> Sequence[float]:

@@ -19,11 +19,13 @@ from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grid
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
+from autotuner.core.diagnosis.search.exchange import exchanged, values_of
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     best_on_both_parts,
     extend,
+    first_of_each,
     refined,
     with_second_lag,
     within,
@@ -34,9 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.diagnosis.extended.base import Base
-    from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
-    from autotuner.core.model.arrays import FloatArray
 
 UNEVEN, WORSE = 0.6, 1.25
 """Ratio of misfits below which delays of every move, many parameters, are accepted; and the largest ratio on
@@ -133,55 +134,45 @@ def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitte
     in_forms = _in_clocked_forms(held)
     for parts, *around in GRIDS:
         tried = closest_first(
-            c
-            for problem, theta in in_forms
-            for c in _on_grids(context, problem, theta, parts if problem is held.problem else PARTS[:1], *around)
+            c for one in in_forms for c in _on_grids(context, one, parts if one is held else PARTS[:1], *around)
         )
         as_near = [c for c in tried if c.rms < AS_NEAR * tried[0].rms]
         chosen = {id(c): c for c in (*_closest_forms(tried), best_on_both_parts(context, as_near)[0])}
         fitted = closest_first(refined(context, c) for c in chosen.values())
-        grids, in_forms = [*grids, *fitted], [(c.problem, c.theta) for c in _closest_forms(fitted)]
+        grids, in_forms = [*grids, *fitted], _closest_forms(fitted)
         if is_noise(context, fitted[0]):
             break
     return [c for c in grids if is_physical(c)]
 
 
-def _in_clocked_forms(held: Fitted) -> list[tuple[Extended, FloatArray]]:
+def _in_clocked_forms(held: Fitted) -> list[Fitted]:
     """Return an explanation by even times in each form of them, with the numbers that were found."""
-    effects = held.problem.effects
-    clocked = next(e for e in effects if e.clocked)
-    others = [
-        replace(held.problem, effects=tuple(form if e is clocked else e for e in effects))
-        for form in clocked.other_forms
-    ]
-    return [(problem, held.theta) for problem in (held.problem, *others)]
+    clocked = next(e for e in held.problem.effects if e.clocked)
+    values = values_of(held, clocked)
+    return [held, *(exchanged(held, clocked, form, values, 0) for form in clocked.other_forms)]
 
 
 def _closest_forms(ranked: Sequence[Fitted]) -> list[Fitted]:
     """Return the closest explanation in each of the two closest forms."""
-    forms: dict[tuple[str, ...], Fitted] = {}
-    for candidate in ranked:
-        forms.setdefault(tuple(e.key for e in candidate.problem.effects), candidate)
-    return list(forms.values())[:FOLLOWED]
+    return first_of_each(ranked, lambda candidate: candidate.keys)[:FOLLOWED]
 
 
 def _on_grids(
     context: FitContext,
-    problem: Extended,
-    start: FloatArray,
+    held: Fitted,
     parts: Sequence[float],
     periods: tuple[float, int],
     phases: tuple[float, int],
 ) -> list[Fitted]:
     """Return an explanation by even times with periods about parts of its own, and all moves as late in the mean."""
-    problem, dead_time = replace(problem, rows=context.screen), len(problem.structure.shape)
+    problem, dead_time = replace(held.problem, rows=context.screen), len(held.problem.structure.shape)
     before = takewhile(lambda e: not e.clocked, problem.effects)
     at = dead_time + 1 + sum(len(e.searched) for e in before)
-    period, phase = math.exp(start[at]), float(start[at + 1])
+    period, phase = math.exp(held.theta[at]), float(held.theta[at + 1])
     tried = []
     for part, longer, later in product(parts, _about(*periods), _about(*phases)):
         other = period * part * (1.0 + longer * period * part / context.dataset.span_s)
-        theta = start.copy()
+        theta = held.theta.copy()
         theta[at : at + 2] = math.log(other), (phase * period / other + later) % 1.0
         theta[dead_time] += ((period - other) / 2.0 - later * other) / problem.unit_s
         tried.append(theta)
