@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from autotuner.application.computing.cluster import on_cluster
 from autotuner.commands.files.result_files import check_writable, write_file
 from autotuner.commands.identify import parse_columns, parse_window
-from autotuner.commands.terminal.output import exit_code, say, show
+from autotuner.commands.terminal.output import exit_code, say, show, writing
 from autotuner.commands.terminal.usage import Number, WholeNumber, add_examples
 from autotuner.core.recording import Recording
 from autotuner.errors import AutotunerError, InputError, RecordingError
@@ -159,7 +159,8 @@ def _show(file: Path, result: Diagnosis | AutotunerError, args: argparse.Namespa
     if args.json:
         show(json.dumps({"file": str(file), **result.to_dict()}) + "\n")
     else:
-        _print(file, result, args.report)
+        with writing():
+            _print(file, result, args.report)
     return 0
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from autotuner.commands.files.result_files import PICTURES, check_writable, write_file
-from autotuner.commands.terminal.output import exit_code, say, show
+from autotuner.commands.terminal.output import exit_code, say, show, writing
 from autotuner.commands.terminal.usage import Number, WholeNumber, add_examples, words
 from autotuner.commands.tuning.design_options import add_budget, add_structure
 from autotuner.configuration import load_configuration
@@ -191,7 +191,8 @@ def _show(
         early = {"gains": quick} if quick else {}
         show(json.dumps({"file": str(file), **identification.to_dict(), **early}) + "\n")
     else:
-        _print(file, recording, identification, picture)
+        with writing():
+            _print(file, recording, identification, picture)
         if quick:
             values = ", ".join(f"{name} {quick[name]:.4g}" for name in ("Kp", "Ti", "Td") if quick[name] is not None)
             show(f"gains: {values} ({quick['rule']} at the cautious end of the model's errors)\n")

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from autotuner.cli import main
@@ -52,6 +53,19 @@ def test_a_full_standard_output_is_one_sentence():
     assert code == 1
     assert err.startswith("autotuner: standard output: cannot be written")
     assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+def test_so_it_is_for_a_file(command, tmp_path):
+    file = tmp_path / "step.csv"
+    t = np.arange(120.0)
+    u = np.where(t < 10.0, 40.0, 50.0)
+    y = 60.0 - 10.0 * np.expm1(-np.maximum(t - 15.0, 0.0) / 20.0) + np.random.default_rng(1).normal(0.0, 0.05, t.size)
+    np.savetxt(file, np.column_stack((t, u, y)), delimiter=",", header="t,u,y", comments="")
+    code, _, err = shell(f"{sys.executable} -m autotuner {command} {file} > /dev/full")
+    assert code == 1
+    assert err.splitlines()[-1].startswith("autotuner: standard output: cannot be written")
+    assert "Traceback" not in err
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from autotuner.core.diagnosis.effects.process.state_limits import overflowing_st
 from autotuner.core.diagnosis.effects.process.stepping import stepped, two_speeds, with_loss, with_loss_at_the_end
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.record.dataset import dataset_of, noise_at_rest, one_noise
-from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
 
@@ -173,6 +173,37 @@ def test_a_loss_of_the_second_store_alone_is_that_of_a_general_solver(slow_last)
 
     found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), [0.0, 0.0], t_eval=dataset.data.t, max_step=0.5, rtol=1e-8)
     assert seen == pytest.approx(found.y[1], abs=0.01)
+
+
+@pytest.mark.parametrize("slow_last", [True, False])
+def test_a_loss_of_the_last_of_three_stores_is_that_of_a_general_solver(slow_last):
+    rng = np.random.default_rng(2)
+    dataset = dataset_of(recording([0.0] * 15 + [10.0] * 185 + [-6.0] * 100, rng.normal(size=300)))
+    view = View(dataset, dataset.data.t, 3.0, PairAndLag(160.0, 28.0, 5.0), dataset.data.held)
+    seen = with_loss_at_the_end(view, lambda w: -0.02 * w * w, lambda w: -0.04 * w, slow_last=slow_last)
+    first, second, last = (5.0, 8.0, 20.0) if slow_last else (20.0, 8.0, 5.0)
+
+    def stores(t, x):
+        v = 0.0 if t < 18.0 else 10.0 if t < 203.0 else -6.0
+        return [(v - x[0]) / first, (x[0] - x[1]) / second, (x[1] - x[2] - 0.02 * x[2] ** 2) / last]
+
+    found = scipy.integrate.solve_ivp(stores, (0.0, 299.0), [0.0] * 3, t_eval=dataset.data.t, max_step=0.5, rtol=1e-8)
+    assert seen == pytest.approx(found.y[2], abs=0.01)
+
+
+def test_strong_radiation_is_that_of_a_general_solver_at_few_samples():
+    """Every tenth second of a lag of 20 s that is three times as quick where it is hot."""
+    rng = np.random.default_rng(2)
+    dataset = dataset_of(recording([0.0] * 15 + [60.0] * 85 + [-18.0] * 200, rng.normal(size=300)))
+    view = View(dataset, dataset.data.t[::10], 0.0, Lag(20.0), dataset.data.held)
+    seen = with_loss(view, *excess(1.5 / 80.0, 4.0))  # (1 + w/80)^4
+
+    def store(t, w):
+        v = 0.0 if t < 15.0 else 60.0 if t < 100.0 else -18.0
+        return [(v - 20.0 * ((1.0 + w[0] / 80.0) ** 4 - 1.0)) / 20.0]
+
+    found = scipy.integrate.solve_ivp(store, (0.0, 299.0), [0.0], t_eval=view.t, max_step=0.5, rtol=1e-8)
+    assert seen == pytest.approx(found.y[0], abs=0.15)  # of 65 in all
 
 
 @pytest.mark.parametrize("power", [0.5, 2.0, 4.0])

@@ -51,6 +51,12 @@ def test_a_doubt_makes_effects_hypotheses_however_little_they_leave():
     assert verdict_of((EFFECT,), errors((9.0, 1.0), (14.0, 1.0)), ("a doubt",)) == "partly_explained"
 
 
+def test_effects_that_only_the_other_part_shows_are_hypotheses_and_no_riddle():
+    """Where it was fitted, there was nothing to explain."""
+    assert verdict_of((EFFECT,), errors((1.0, 0.9), (6.0, 1.0)), ("a doubt",)) == "partly_explained"
+    assert verdict_of((EFFECT,), errors((3.0, 2.9), (6.0, 1.0)), ("a doubt",)) == "unexplained"
+
+
 def steps(sigma=0.02, levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0)):
     """Steps behind a lag of 5 s, gain 2, each until it has settled."""
     output = np.repeat(levels, 60)

@@ -315,7 +315,7 @@ def bent(plant: Plant, change: Callable[[float], float]) -> Hidden:
         losses = (*x[:-1], x[-1] + change(x[-1]))
         return [(source - lost) / lag for source, lost, lag in zip(sources, losses, lags, strict=True)]
 
-    return Hidden(plant=replace(plant, derivative=ringing if plant.kind == "ringing" else chained))
+    return Hidden(plant=replace(plant, derivative=ringing if plant.kind == "ringing" else chained), loss=change)
 
 
 @form("nonlinear_loss", "outflow", textbook=True)
@@ -732,6 +732,7 @@ def together(first: Hidden, second: Hidden) -> Hidden:
         load=lambda t: first.load(t) + second.load(t),
         offset=lambda t: first.offset(t) + second.offset(t),
         plant=process.plant,
+        loss=process.loss,
         pipe=process.pipe,
         sensor=sensed if sensors else None,
         jitter_samples=max(first.jitter_samples, second.jitter_samples),

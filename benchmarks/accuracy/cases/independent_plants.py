@@ -17,11 +17,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 
 Array = np.ndarray
 Derivative = Callable[[Sequence[float], float, float], Sequence[float]]
 SUB_STEPS = 8
 """Integration steps within a sample."""
+LOADS = 8
+"""Moments of a sub-step, the mean of whose loads acts over it: one that begins within acts for the rest of it."""
 REST = 40.0
 """Output at which every plant rests, in percent."""
 
@@ -103,6 +106,10 @@ class Pipe:
         return carried / wanted
 
 
+def no_load(_t: float) -> float:
+    return 0.0
+
+
 @dataclass
 class Hidden:
     """What nobody declared: where it acts, as functions of time and state."""
@@ -111,7 +118,7 @@ class Hidden:
     form: str = ""
     textbook: bool = True
     actuator: object = field(default_factory=Straight)
-    load: Callable[[float], float] = lambda _t: 0.0
+    load: Callable[[float], float] = no_load
     offset: Callable[[float], float] = lambda _t: 0.0
     plant: Plant | None = None
     pipe: Pipe | None = None
@@ -121,6 +128,8 @@ class Hidden:
     jitter_samples: float = 0.0
     sizes: dict[str, float] = field(default_factory=dict)
     """True sizes, by the name that a report gives them."""
+    loss: Callable[[float], float] | None = None
+    """What the last store loses, over what a linear one does, at each PV over the gain; None of a linear one."""
     own_gain: bool = False
     """Whether the gain of the process beside the effect is a matter of definition: no judge of that gain."""
 
@@ -135,6 +144,16 @@ class Record:
     sigma: float
     plant: Plant
     hidden: Hidden
+
+    @property
+    def gain(self) -> float:
+        """Gain of the process beside the effect at rest with the first output: a loop's controller answers to noise."""
+        plant, loss = self.hidden.plant or self.plant, self.hidden.loss
+        if loss is None:
+            return plant.K
+        rest = float(scipy.optimize.newton(lambda x: x + loss(x) - self.plant.K * (self.u[0] - REST), 0.0))
+        step = 1e-4 * abs(self.plant.K)
+        return self.plant.K / (1.0 + (loss(rest + step) - loss(rest - step)) / (2.0 * step))
 
     def csv(self) -> str:
         heads = "t,u,y,sp" if self.sp is not None else "t,u,y"
@@ -158,6 +177,13 @@ def runge_kutta(f: Derivative, x: list[float], v: float, t: float, h: float) -> 
     c = f([s + h / 2.0 * d for s, d in zip(x, b, strict=True)], v, t + h / 2.0)
     e = f([s + h * d for s, d in zip(x, c, strict=True)], v, t + h)
     return [s + h / 6.0 * (p + 2.0 * q + 2.0 * r + w) for s, p, q, r, w in zip(x, a, b, c, e, strict=True)]
+
+
+def mean_load(hidden: Hidden, t: float, h: float) -> float:
+    """Return the mean of the load over a sub-step."""
+    if hidden.load is no_load:
+        return 0.0
+    return sum(hidden.load(t + h * (k + 0.5) / LOADS) for k in range(LOADS)) / LOADS
 
 
 def run(
@@ -192,7 +218,7 @@ def run(
             position = hidden.actuator.move(u, at, h) - REST  # type: ignore[attr-defined]
             behind.append(position if hidden.pipe is None else hidden.pipe.move(position, h))
             v = behind[-1 - whole] * (1.0 - part) + behind[-2 - whole] * part
-            x = runge_kutta(f, x, v + hidden.load(at), at, h)
+            x = runge_kutta(f, x, v + mean_load(hidden, at, h), at, h)
             recent.append(p.measured(x) + hidden.offset(at + h))
         recent = recent[-SUB_STEPS - 2 :]
         if len(behind) > 4 * whole + 100:

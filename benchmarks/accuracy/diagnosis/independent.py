@@ -207,7 +207,7 @@ def gain_and_interval(answer: autotuner.Diagnosis, record: Record) -> tuple[floa
     if record.hidden.own_gain or answer.verdict not in {"explained", "adequate"} or "K" not in model:
         return None
     ends = model.get("interval95", {}).get("K")
-    return None if ends is None else (model["K"], *ends, (record.hidden.plant or record.plant).K)
+    return None if ends is None else (model["K"], *ends, record.gain)
 
 
 def cases_of(options: argparse.Namespace) -> list[Case]:

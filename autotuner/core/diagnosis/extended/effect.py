@@ -142,6 +142,8 @@ class Effect:
         Whether the part that is not fitted need not show it.
     makes_late : bool
         Whether the process alone replaces it by dead time: the search then starts with less dead time too.
+    takes_third : bool
+        Whether its response is also that of a process of three lags.
     clocked : bool
         Whether it acts at even times: what is searched is the logarithm of a period, s, and a phase, periods.
     reads_as : callable, optional
@@ -179,6 +181,7 @@ class Effect:
     measured: bool = False
     unseen_after: bool = False
     makes_late: bool = False
+    takes_third: bool = False
     clocked: bool = False
     reads_as: Callable[[Sequence[float]], str] | None = None
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None

@@ -7,7 +7,8 @@
                        or 3 for autoregressive noise, whose innovations were judged (see `coloured_noise`); or as much
                        as the errors of the process's numbers make there
     explained          effects; at most 2 times the expected error on both parts; no reason against them in `doubts`
-    partly_explained   effects that explain a good part of the error on the selection part, and fail one of these
+    partly_explained   effects that fail one of these, and explain a good part of the error on the selection part, and
+                       of that on the fitted part where they leave more than 2 times the expected one there
     unexplained        anything else
 
 Invariants: the verdict follows from the reported numbers, and from how well the record knows those of the process;
@@ -61,11 +62,17 @@ def verdict_of(
     most = math.inf if foreseen else WITH_MEMORY if has_memory else FEW
     fitted, selection = error["fitted"], error["selection"]
     if effects:
-        if fitted.after <= FEW * fitted.expected and selection.after <= FEW * selection.expected and not doubts:
+        if is_close(fitted) and is_close(selection) and not doubts:
             return "explained"
-        helps = selection.after < GOOD_PART * selection.before and fitted.after < GOOD_PART * fitted.before
-        return "partly_explained" if helps else "unexplained"
+        helps = selection.after < GOOD_PART * selection.before
+        helps_there = is_close(fitted) or fitted.after < GOOD_PART * fitted.before
+        return "partly_explained" if helps and helps_there else "unexplained"
     if not fitted.after < VISIBLE * fitted.expected or selection.after > most * selection.expected:
         return "unexplained"
     as_it_was = fitted.before < VISIBLE * fitted.expected and not selection.before > most * selection.expected
     return "adequate" if as_it_was else "explained"
+
+
+def is_close(part: Misfit) -> bool:
+    """Return whether an explanation leaves little more than the expected error on a part of the record."""
+    return part.after <= FEW * part.expected

@@ -37,7 +37,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import (
     no_design_note,
 )
 from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
-from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, verdict_of
+from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, is_close, verdict_of
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
 from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome, comes_from_outside
 from autotuner.core.diagnosis.findings.sensor_effects import sensor_findings
@@ -153,7 +153,7 @@ def reported(
         model={"before": described, "after": _model(context, final, covariance) if kept else described},
         gains=gains,
         notes=(*parts.whole.notes, *notes),
-        summary=_summary(verdict, effects, error, blind),
+        summary=_summary(verdict, effects, error, blind, doubts, cut=cut),
         traces=errors.traces(),
         process=after.model,
         covariance=after.covariance,
@@ -376,21 +376,40 @@ def _changed_values(final: Fitted, model: ProcessModel | None) -> list[str]:
 
 
 def _summary(
-    verdict: Outcome, effects: tuple[FoundEffect, ...], error: dict[str, Misfit], blind: Sequence[Spot]
+    verdict: Outcome,
+    effects: tuple[FoundEffect, ...],
+    error: dict[str, Misfit],
+    blind: Sequence[Spot],
+    doubts: Sequence[str],
+    *,
+    cut: bool,
 ) -> str:
+    """Return the verdict in a sentence, with what decided it."""
     held = error["held_out"]
     noise = max(held.noise, SMALLEST_DIVISOR)
     ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
     names = " and ".join(e.name for e in effects)
+    if verdict == "adequate":
+        grave = [spot.words for spot in blind if spot.grave]
+        return "nothing is missing that this record can show" + (
+            f"; it is blind to {' and '.join(grave)}" if grave else ""
+        )
+    if cut:
+        return f"the time limit ended the search; best so far is {names or 'the process alone'} (error {ratio})"
     if effects and verdict != "unexplained" and _is_refuted(held):
         return f"the test part speaks against {names}: error from {ratio}; no explanation"
     if verdict == "explained":
         return f"{names or 'other values of the same model'}: error from {ratio}"
+    return _hypothesis(
+        verdict, names, ratio, doubts if is_close(error["fitted"]) and is_close(error["selection"]) else ()
+    )
+
+
+def _hypothesis(verdict: Outcome, names: str, ratio: str, open_questions: Sequence[str]) -> str:
+    """Return what is said of effects that are not proven; `open_questions` where they leave little but noise."""
+    if names and open_questions:
+        return f"{names} may account for what is missing, error from {ratio}, but is not proven: {open_questions[0]}"
     if verdict == "partly_explained":
         return f"{names} may account for a part: error from {ratio}; a hypothesis only"
-    if verdict == "unexplained":
-        near = f"; nearest is {names}, which leaves too much" if names else ""
-        return f"something is missing that no known effect explains (error {ratio}){near}"
-    grave = [spot.words for spot in blind if spot.grave]
-    spots = f"; it is blind to {' and '.join(grave)}" if grave else ""
-    return f"nothing is missing that this record can show{spots}"
+    near = f"; nearest is {names}, which leaves too much" if names else ""
+    return f"something is missing that no known effect explains (error {ratio}){near}"

@@ -100,7 +100,7 @@ def _is_split(candidate: Fitted) -> bool:
 def one_lag_more(context: FitContext, chosen: Fitted) -> Fitted | None:
     """Return the explanation with a further lag of the process; None where it can have none. Cached."""
     problem = chosen.problem
-    other = any(e.response is not None or e.makes_late for e in problem.effects)
+    other = any((e.response is not None and not e.takes_third) or e.makes_late for e in problem.effects)
     structure = ONE_MORE.get(problem.structure)
     if structure is None or problem.fixed is not None or other or context.dataset.budget.spent:
         return None

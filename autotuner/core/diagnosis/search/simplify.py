@@ -113,6 +113,21 @@ def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
     return richer if evidence.gain > 0.0 and evidence.held_out_ratio < 1.0 else chosen
 
 
+def with_third_lag_beside_a_loss(context: FitContext, chosen: Fitted) -> Fitted:
+    """Return the explanation with a third lag of the process beside a loss of its last store, where both parts show it.
+
+    No further effect can be one: the loss takes the place of the response of the process.
+    """
+    problem = chosen.problem
+    if problem.structure is not SECOND_ORDER or not any(e.takes_third for e in problem.effects):
+        return chosen
+    richer = one_lag_more(context, chosen)
+    if richer is None:
+        return chosen
+    evidence = weigh(context, chosen, richer)
+    return richer if evidence.gain > GAIN and evidence.held_out_ratio < 1.0 else chosen
+
+
 def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
     """Return the explanation with plain backlash where a form of friction with more parameters is not significant."""
     rich = next((e for e in chosen.problem.effects if e.group == "friction" and len(e.searched) == RICH), None)

@@ -82,6 +82,7 @@ from autotuner.core.diagnosis.search.simplify import (
     with_smooth_course,
     with_steps,
     with_third_lag,
+    with_third_lag_beside_a_loss,
 )
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 
@@ -170,7 +171,7 @@ def trace(
         following, accepted = _following(context, base, best, found)
         if accepted:
             following = with_smooth_course(context, _from_its_process(context, following, declared), effects)
-            following = with_other_forms(context, following)
+            following = with_third_lag_beside_a_loss(context, with_other_forms(context, following))
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):

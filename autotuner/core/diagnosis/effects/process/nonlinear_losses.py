@@ -11,8 +11,8 @@ by a factor for every degree (Clausius, Clapeyron), which is the limit of large 
 
 is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
 the PV, and on one side more than on the other (a). `s` the square of the range of `w`. Its next term, `c w^4`, shows
-what the other two leave open. Of two stores in a row, the second one may have a loss alone, like the lower of two
-tanks.
+what the other two leave open. Of two or three stores in a row, the last one may have a loss alone, like the lower of
+two tanks.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ STARTS, TRIED = (-0.5, -0.2, 0.2, 0.5, 1.0), (-0.2, 0.5)
 RINGS = 2.0
 """`n^2/m` under which a pair of poles rings: a damping ratio of 0.7."""
 SLOW_LAST, WHICH = Searched("slow_last", 0.0, 1.0, 0.0), (0.0, 1.0)
-"""Which of two stores is the last one, the quick or the slow one: either is where a search begins, no slope."""
+"""Which of the stores is the last one, the quickest or the slowest: either is where a search begins, no slope."""
 EMPTY = 0.02
 """Least level, over that at rest."""
 SMALLEST = 1e-9
@@ -110,6 +110,7 @@ def _cubic(dataset: Dataset, base: Fitted, *, last: bool = False) -> Effect:
         response=response,
         price=3.0 if last else 2.0,
         group="loss",
+        takes_third=last,
     )
     fourth = replace(cubic, searched=(*cubic.searched, Searched("fourth", -30.0, 30.0, 1e-4)))
     return replace(cubic, next_terms=(fourth,))
@@ -149,6 +150,7 @@ def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
         response=response,
         price=1.0 if last else 0.0,
         group="loss",
+        takes_third=last,
     )
 
 

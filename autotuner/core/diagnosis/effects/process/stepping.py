@@ -2,15 +2,17 @@
 
     w = G[v + f(v, w)],   w clipped to limits
 
-Between two times the linear part moves exactly (`e^{A h}`); `f` is taken at both ends and averaged (Heun), so the error
-falls with the square of the step. The steps are the samples wanted and the moments at which the input changes.
+Between two times the linear part moves exactly (`e^{A h}`); `f` is taken at both ends, and is their mean (Heun) or,
+where it is smooth, a straight line between them, so the error falls with the square of the step. The steps are the
+samples wanted and the moments at which the input changes.
 
 A smooth `f(w)` needs no walk: the course is found by Newton's method, each step of it a band system,
 
-    w_k+1 = v + g + P (w_k - v - g),   g = (f(w_k) + f(w_k+1))/2,   f(w) ~ f(w*) + f'(w*) (w - w*)
+    w_k+1 = v + P (w_k - v) + A f(w_k) + B f(w_k+1),   f(w) ~ f(w*) + f'(w*) (w - w*)
+    B = (1/h) int_0^h S(t) dt,   A = S(h) - B,   S the answer to a step
 
-(quasilinearisation; Bellman and Kalaba, 1965). A loss of the second of two stores alone, of time constant `T2`, is a
-lag in parallel with the linear response:   w = G[v] + z,   T2 z' = f(w) - z.
+(quasilinearisation; Bellman and Kalaba, 1965). A loss of the last store alone, of time constant `T2`, is a lag in
+parallel with the linear response:   w = G[v] + z,   T2 z' = f(w) - z.
 
 A process that rises `r` times as quickly as it falls is linear on either way, and moves exactly over every step:
 
@@ -25,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
 from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 
 WIDE = 1e6
 """Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
+LONGEST_STEP = 1.0 / 8.0
+"""Longest step of a smooth loss, in lags of the process: a strong loss makes it some four times as quick."""
 NEWTON_STEPS, CLOSE = 7, 1e-5
 """Steps of Newton's method, and the change over the size of the response at which it has arrived."""
 MANY_MOVES, MANY_TO_SOLVE = 300, 20_000
@@ -95,10 +99,11 @@ def with_loss(
     view: View, f: Callable[[FloatArray], FloatArray], slope: Callable[[FloatArray], FloatArray]
 ) -> FloatArray:
     """Return the response of the process of unit gain when `f(w)`, a smooth curve, is added to its input."""
-    grid, v, h = _grid(view, MANY_TO_SOLVE)
     motion = view.motion
     if not isinstance(motion, Lag | Pair):
         return view.forced(view.input)
+    whole_s = motion.T if isinstance(motion, Lag) else motion.n
+    grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * whole_s)
     solve = _lag_course(motion, v, h) if isinstance(motion, Lag) else _pair_course(motion, v, h)
     w = _newton(solve, f, slope, solve(np.zeros(grid.size), np.zeros(grid.size)))
     if w is None:
@@ -115,25 +120,26 @@ def with_loss_at_the_end(
     *,
     slow_last: bool,
 ) -> FloatArray:
-    """Return the response of two lags of unit gain when `f(w)` is added to the input of the second one.
+    """Return the response of two or three lags of unit gain when `f(w)` is added to the input of the last one.
 
     Parameters
     ----------
     view : View
-        Process, input and times; any other process than a pair has no loss. The lags of a pair that just rings count as
-        equal, so that a search passes from one to the other.
+        Process, input and times; any other process has no loss. The lags of a pair that just rings count as equal, so
+        that a search passes from one to the other.
     f, slope : callable
         A smooth curve and its slope.
     slow_last : bool
-        Whether the slower of the two lags comes last.
+        Whether the slowest of the lags comes last, else the quickest.
     """
     motion = view.motion
-    if not isinstance(motion, Pair):
+    if not isinstance(motion, Pair | PairAndLag):
         return view.forced(view.input)
     slow_s = (motion.n + math.sqrt(max(motion.n**2 - 4.0 * motion.m, 0.0))) / 2.0
-    grid, v, h = _grid(view, MANY_TO_SOLVE)
+    lags_s = (slow_s, motion.m / slow_s, *((motion.T,) if isinstance(motion, PairAndLag) else ()))
+    grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * motion.n)
     straight = motion.forced(view.input, grid - view.delay_s)[0][0]
-    part = _lag_course(Lag(slow_s if slow_last else motion.m / slow_s), np.zeros_like(v), h)
+    part = _lag_course(Lag(max(lags_s) if slow_last else min(lags_s)), np.zeros_like(v), h)
 
     def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
         added: FloatArray = straight + part(f0 + f1 * straight, f1)
@@ -165,10 +171,18 @@ def _newton(
     return None
 
 
-def _grid(view: View, many: int = MANY_MOVES) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the steps of the input, which is averaged where it moves often."""
+def _grid(view: View, many: int = MANY_MOVES, longest_s: float = math.inf) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the steps of the input, which is averaged where it moves often; none is longer than `longest_s`."""
     held = view.input
-    return steps_of(view, averaged(held, view.dataset.span_s) if held.times.size > many else held)
+    held = averaged(held, view.dataset.span_s) if held.times.size > many else held
+    grid, levels, h = steps_of(view, held)
+    parts = np.ceil(h / longest_s).astype(int) if math.isfinite(longest_s) else np.ones(h.size, dtype=int)
+    if parts.max() == 1:
+        return grid, levels, h
+    first = np.repeat(np.cumsum(parts) - parts, parts)
+    within_it = (np.arange(first.size) - first) / np.repeat(parts, parts)
+    finer = np.append(np.repeat(grid[:-1], parts) + within_it * np.repeat(h, parts), grid[-1])
+    return finer, np.repeat(levels, parts), np.diff(finer)
 
 
 def steps_of(view: View, held: HeldInput, also: Sequence[float] = ()) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -180,11 +194,13 @@ def steps_of(view: View, held: HeldInput, also: Sequence[float] = ()) -> tuple[F
 
 def _lag_course(motion: Lag, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     p = np.exp(-h / motion.T)
+    later = 1.0 - (1.0 - p) * motion.T / h
+    first = 1.0 - p - later
 
     def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
-        ahead = 1.0 - 0.5 * (1.0 - p) * f1[1:]
-        kept = (p + 0.5 * (1.0 - p) * f1[:-1]) / ahead
-        added = (1.0 - p) * (v + 0.5 * (f0[:-1] + f0[1:])) / ahead
+        ahead = 1.0 - later * f1[1:]
+        kept = (p + first * f1[:-1]) / ahead
+        added = ((1.0 - p) * v + first * f0[:-1] + later * f0[1:]) / ahead
         return accumulate(np.concatenate(([0.0], kept)), np.concatenate(([0.0], added)))
 
     return solve
@@ -192,16 +208,20 @@ def _lag_course(motion: Lag, v: FloatArray, h: FloatArray) -> Callable[[FloatArr
 
 def _pair_course(motion: Pair, v: FloatArray, h: FloatArray) -> Callable[[FloatArray, FloatArray], FloatArray]:
     p00, p01, p10, p11 = motion.transition(h)
+    rise, speed = 1.0 - p00, -p10  # of the answer to a step
+    later, later_speed = 1.0 - (motion.n * rise + motion.m * speed) / h, rise / h
+    first, first_speed = rise - later, speed - later_speed
 
     def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
-        ahead = 1.0 - 0.5 * (1.0 - p00) * f1[1:]
-        mean = v + 0.5 * (f0[:-1] + f0[1:])  # mean input, without the part proportional to w
-        a = (p00 + 0.5 * (1.0 - p00) * f1[:-1]) / ahead
-        b, c = p01 / ahead, (1.0 - p00) * mean / ahead
-        back, forth = p10 * (1.0 - 0.5 * f1[:-1]), -0.5 * p10 * f1[1:]
+        ahead = 1.0 - later * f1[1:]
+        a, b = (p00 + first * f1[:-1]) / ahead, p01 / ahead
+        c = (rise * v + first * f0[:-1] + later * f0[1:]) / ahead
+        forth = later_speed * f1[1:]
         P, shift = np.zeros((2, 2, h.size + 1)), np.zeros((h.size + 1, 2))
-        P[0, 0, 1:], P[0, 1, 1:], P[1, 0, 1:], P[1, 1, 1:] = a, b, back + forth * a, p11 + forth * b
-        shift[1:, 0], shift[1:, 1] = c, -p10 * mean + forth * c
+        P[0, 0, 1:], P[0, 1, 1:] = a, b
+        P[1, 0, 1:], P[1, 1, 1:] = p10 + first_speed * f1[:-1] + forth * a, p11 + forth * b
+        shift[1:, 0] = c
+        shift[1:, 1] = speed * v + first_speed * f0[:-1] + later_speed * f0[1:] + forth * c
         result: FloatArray = accumulate_states(P, shift)[:, 0]
         return result
 
