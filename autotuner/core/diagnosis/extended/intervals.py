@@ -200,9 +200,19 @@ def _parameters(fitted: Fitted, theta: FloatArray, linear: FloatArray) -> Mappin
     return structure.model(shape, linear[: structure.gains].tolist(), max(D, 0.0)).parameters()
 
 
-def whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | None:
-    """Return the gain of a process with a slow mode, a second way or a recycle, and its interval; None without."""
+def whole_gain(context: FitContext, fitted: Fitted, others: Neighbours = ()) -> tuple[float, Interval] | None:
+    """Return the gain of a process with a slow mode, a second way or a recycle, and its interval; None without.
 
+    `others` with their weights widen it, as far as they have one.
+    """
+    own = _whole_gain(context, fitted)
+    if own is None or len(others) < 2:
+        return own
+    found = ((weight, own if f is fitted else _whole_gain(context, f)) for weight, f in others)
+    return own[0], averaged(own[0], ((weight, *gain) for weight, gain in found if gain is not None))
+
+
+def _whole_gain(context: FitContext, fitted: Fitted) -> tuple[float, Interval] | None:
     def whole(theta: FloatArray, linear: FloatArray) -> Mapping[str, float]:
         share = sum(shares_beside(sizes_at(fitted.problem, theta, linear, fitted.counts)))
         return {"K": _parameters(fitted, theta, linear)["K"] / (1.0 - share)} if share < 1.0 else {}

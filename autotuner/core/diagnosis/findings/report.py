@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.coloured_noise import Innovations
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.extended.intervals import Neighbours
     from autotuner.core.diagnosis.findings.gain_comparison import Design
     from autotuner.core.diagnosis.record.parts import Parts
     from autotuner.core.diagnosis.record.sensor import SensorRecord
@@ -122,7 +123,8 @@ def reported(
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
     final = to_both_parts(context, found.chosen)
-    covariance = process_covariance(context, final, neighbours(context, found.chosen, found.pool))
+    near = neighbours(context, found.chosen, found.pool)
+    covariance = process_covariance(context, final, near)
     doubts = _doubts(context, found, effects, errors, error["selection"], covariance, sensor)
     verdict, cut = _outcome(context, found.chosen, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
@@ -150,7 +152,7 @@ def reported(
         effects=effects,
         runner_up=_runner_up(context, found, effects),
         error=error,
-        model={"before": described, "after": _model(context, final, covariance) if kept else described},
+        model={"before": described, "after": _model(context, final, near, covariance) if kept else described},
         gains=gains,
         notes=(*parts.whole.notes, *notes),
         summary=_summary(verdict, effects, error, blind, doubts, cut=cut),
@@ -251,10 +253,10 @@ def _is_refuted(held: Misfit) -> bool:
     return held.after > max(held.before, VISIBLE * held.expected)
 
 
-def _model(context: FitContext, final: Fitted, covariance: FloatArray | None) -> dict[str, object]:
+def _model(context: FitContext, final: Fitted, near: Neighbours, covariance: FloatArray | None) -> dict[str, object]:
     reported: dict[str, object] = dict(model_to_dict(final.process()))
     ends = process_intervals(final, covariance)
-    whole = whole_gain(context, final)
+    whole = whole_gain(context, final, near)
     if whole is not None:
         reported["K"] = whole[0]
         ends = {**ends, "K": whole[1]} if ends else ends

@@ -72,8 +72,21 @@ def closest_exchanged(
 @lru_cache(maxsize=16)
 def in_another_form(context: FitContext, chosen: Fitted, effect: Effect) -> Fitted | None:
     """Return the explanation with one effect in the closest of its other forms; None without any. Cached."""
-    starts = ((form, start) for form in effect.other_forms for start in _starts_from(chosen, effect, form))
+    starts = ((form, start) for form in _others_of(effect) for start in _starts_from(chosen, effect, form))
     return closest_exchanged(context, chosen, effect, starts, QUICK_STEPS)
+
+
+@lru_cache(maxsize=64)
+def _others_of(effect: Effect) -> tuple[Effect, ...]:
+    """Return the other forms of an effect, each with the rest of them and the effect itself as its own others. Cached.
+
+    What the closest one leaves open is then seen too.
+    """
+    family = (effect, *effect.other_forms)
+    return tuple(
+        form if form.other_forms else replace(form, other_forms=tuple(other for other in family if other is not form))
+        for form in effect.other_forms
+    )
 
 
 def _starts_from(chosen: Fitted, effect: Effect, form: Effect) -> list[tuple[float, ...]]:

@@ -153,19 +153,14 @@ def trace(
         best, beams, pool = known.best, [[known.best]], [known.best]
         effects = catalogue(best, context.coarse, declared)
     steps: list[Fitted] = []
-    beside, enough = _with_processes(context, base, effects)
-    beside += _fitted_again(context, earlier)
-    beams = [] if enough else beams
+    beside = _fitted_again(context, earlier)
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(context, best) and not is_free_load(context, best):
             break
         sketches = [sketched(context, beam, effects) for beam in beams]
-        found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
+        found = _explanations(context, base, effects, sketches, beside, first=not steps)
         if not found:
             break
-        found = closest_first([*found, *with_other_grids(context, found), *with_other_starts(context, found)])
-        found = closest_first([*found, *with_exchanged_effects(context, found, effects)])
-        found = closest_first([*found, *with_exchanged_forms(context, found, effects)])
         pool += found
         context.dataset.budget.report(_how_far(context, found[0]))
         following, accepted = _following(context, base, best, found)
@@ -193,6 +188,29 @@ def trace(
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
+
+
+def _explanations(
+    context: FitContext,
+    base: Base,
+    effects: Sequence[Effect],
+    sketches: Sequence[Sequence[Fitted]],
+    beside: Sequence[Fitted],
+    *,
+    first: bool,
+) -> list[Fitted]:
+    """Return the explanations of one round, the closest first.
+
+    In the first one, effects with a process of their own are searched too, unless another explanation leaves but noise.
+    """
+    found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
+    if first and not any(is_noise(context, c) and not is_free_load(context, c) for c in found):
+        found = closest_first([*found, *_with_processes(context, base, effects)])
+    if not found:
+        return []
+    found = closest_first([*found, *with_other_grids(context, found), *with_other_starts(context, found)])
+    found = closest_first([*found, *with_exchanged_effects(context, found, effects)])
+    return closest_first([*found, *with_exchanged_forms(context, found, effects)])
 
 
 def _with_needed_effects(
@@ -228,18 +246,18 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
     return with_plain_forms(context, with_other_forms(context, chosen), effects)
 
 
-def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> tuple[list[Fitted], bool]:
-    """Return effects that are searched with a process of their own, and whether one of them leaves only noise."""
+def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return effects that are searched with a process of their own, until one of them leaves only noise."""
     found: list[Fitted] = []
     for search in (with_friction, with_friction_beside_a_load, with_positions):
         found += search(context, base, effects)
         if any(is_noise(context, candidate) for candidate in found):
-            return found, True
+            return found
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
     late += [*with_process_beside_wave(context, base, effects), *with_slow_or_switched_output(context, base, effects)]
     late += with_curve_in_loop(context, base, effects)
     late += with_curve_beside_a_load(context, base, effects)
-    return [*found, *with_process_friction(context, base.best), *late], False
+    return [*found, *with_process_friction(context, base.best), *late]
 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
