@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 WIDE = 1e6
 """Bound of a simulated state, in swings of the PV: a trial that diverges stays finite, and fits badly."""
 LONGEST_STEP = 1.0 / 8.0
-"""Longest step of a smooth loss, in lags of the process: a strong loss makes it some four times as quick."""
+"""Longest step of a smooth loss, in lags of the process or radians: a strong loss makes it some four times as quick."""
 NEWTON_STEPS, CLOSE = 7, 1e-5
 """Steps of Newton's method, and the change over the size of the response at which it has arrived."""
 MANY_MOVES, MANY_TO_SOLVE = 300, 20_000
@@ -102,8 +102,8 @@ def with_loss(
     motion = view.motion
     if not isinstance(motion, Lag | Pair):
         return view.forced(view.input)
-    whole_s = motion.T if isinstance(motion, Lag) else motion.n
-    grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * whole_s)
+    slowest_s = motion.T if isinstance(motion, Lag) else max(motion.n, math.sqrt(motion.m))
+    grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * slowest_s)
     solve = _lag_course(motion, v, h) if isinstance(motion, Lag) else _pair_course(motion, v, h)
     w = _newton(solve, f, slope, solve(np.zeros(grid.size), np.zeros(grid.size)))
     if w is None:
@@ -137,7 +137,7 @@ def with_loss_at_the_end(
         return view.forced(view.input)
     slow_s = (motion.n + math.sqrt(max(motion.n**2 - 4.0 * motion.m, 0.0))) / 2.0
     lags_s = (slow_s, motion.m / slow_s, *((motion.T,) if isinstance(motion, PairAndLag) else ()))
-    grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * motion.n)
+    grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * slow_s)
     straight = motion.forced(view.input, grid - view.delay_s)[0][0]
     part = _lag_course(Lag(max(lags_s) if slow_last else min(lags_s)), np.zeros_like(v), h)
 
