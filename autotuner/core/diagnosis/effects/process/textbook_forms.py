@@ -18,6 +18,7 @@ With `w` the response of the process of unit gain to the input `v`, both as devi
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,8 +62,7 @@ def process_effects(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
         _unequal_lags(dataset),
         *_slow_mode(dataset),
         *recycle(dataset),
-        _inverse_response(),
-        _second_way(dataset),
+        *_in_place_of_each_other(_inverse_response(), _second_way(dataset)),
         *gains_in_time(dataset),
         _not_settled(),
     )
@@ -184,6 +184,11 @@ def _slow_mode(dataset: Dataset) -> tuple[Effect, ...]:
         )
 
     return soak("", (1.0,)), soak("spread", (1.0, SECOND_MODE))
+
+
+def _in_place_of_each_other(one: Effect, other: Effect) -> tuple[Effect, Effect]:
+    """Return two forms of an effect, each of which is tried where the other was found."""
+    return replace(one, other_forms=(other,)), replace(other, other_forms=(one,))
 
 
 def _inverse_response() -> Effect:
