@@ -117,7 +117,7 @@ def _errors(diagnosis: Diagnosis, units: Units) -> Grid:
             f"{misfit.after:.4g}",
             f"{misfit.noise:.4g}",
             f"{misfit.before / misfit.noise:.2f} to {misfit.after / misfit.noise:.2f}" if misfit.noise > 0.0 else "",
-            _fit(misfit.before, spread.get(part, 0.0)) + " to " + _fit(misfit.after, spread.get(part, 0.0)),
+            " to ".join(_fit(error, spread[part]) for error in (misfit.before, misfit.after)) if part in spread else "",
         ]
         for part, misfit in diagnosis.error.items()
     ]
@@ -129,7 +129,7 @@ def _errors(diagnosis: Diagnosis, units: Units) -> Grid:
 def _spreads(traces: Traces) -> dict[str, float]:
     early = traces.t <= traces.held_out_from_s
     parts = {"fitted": traces.pv[early], "held_out": traces.pv[~early]}
-    return {part: float(np.std(pv)) if pv.size else 0.0 for part, pv in parts.items()}
+    return {part: float(np.std(pv)) for part, pv in parts.items() if pv.size}
 
 
 def _fit(error: float, spread: float) -> str:
@@ -155,7 +155,8 @@ def _gains(diagnosis: Diagnosis, units: Units) -> list[Grid]:
     """Return the gains of the requested design, with calmer ones where they are useful; nothing without any."""
     columns = {when: _flat(values) for when, values in diagnosis.gains.items()}
     goal_name = str(next((entry["goal"] for entry in columns.values() if "goal" in entry), ""))
-    names = [name for name in {name: None for entry in columns.values() for name in entry} if name != "goal"]
+    known = {name: None for entry in columns.values() for name, value in entry.items() if value is not None}
+    names = [name for name in known if name != "goal"]
     rows = [[_quantity(name, units), *(_shown(entry.get(name)) for entry in columns.values())] for name in names]
     heads = [f"after, {entry['goal']}" if when == "calmer" else when for when, entry in columns.items()]
     return [Grid(f"Requested gains ({goal_name}) and margins", ("", *heads), rows)] if rows else []

@@ -318,3 +318,17 @@ def test_a_fixed_set_point_weight_costs_what_the_warning_says():
     assert held.load_error_cost == pytest.approx(held.iae / free.iae)
     assert f"{held.load_error_cost:.2f} times" in held.warnings[-1]
     assert held.margins.Ms <= 1.401
+
+
+def test_a_row_of_a_diagnosis_says_something(tmp_path):
+    """No number without a value, and no fit of a part whose spread is not known."""
+    t = np.arange(120.0)
+    output = np.where(t < 10.0, 40.0, 50.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, t.size)
+    pv = 60.0 - 10.0 * np.expm1(-np.maximum(t - 15.0, 0.0) / 20.0) + noise
+    file, report = tmp_path / "step.csv", tmp_path / "step.html"
+    file.write_text(Recording(t, output, pv).to_csv(), encoding="utf-8")
+    assert main(["diagnose", str(file), "--report", str(report)]) == 0
+    text = report.read_text(encoding="utf-8")
+    assert "- to -" not in text
+    assert not re.search(r"</th>(<td></td>)+</tr>", text)
