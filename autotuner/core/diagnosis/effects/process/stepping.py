@@ -44,6 +44,8 @@ LONGEST_STEP = 1.0 / 8.0
 """Longest step of a smooth loss, in lags of the process or radians: a strong loss makes it some four times as quick."""
 NEWTON_STEPS, CLOSE = 7, 1e-5
 """Steps of Newton's method, and the change over the size of the response at which it has arrived."""
+MOST_STEPS = 5000
+"""Steps beyond which none is divided: it would take minutes for a long record of a quick process."""
 MANY_MOVES, MANY_TO_SOLVE = 300, 20_000
 """Moves beyond which an input is averaged: where the course is walked step by step, and where it is solved at once."""
 
@@ -172,13 +174,14 @@ def _newton(
 
 
 def _grid(view: View, many: int = MANY_MOVES, longest_s: float = math.inf) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the steps of the input, which is averaged where it moves often; none is longer than `longest_s`."""
+    """Return the steps of the input, which is averaged where it moves often; few are divided where too long."""
     held = view.input
     held = averaged(held, view.dataset.span_s) if held.times.size > many else held
     grid, levels, h = steps_of(view, held)
-    parts = np.ceil(h / longest_s).astype(int) if math.isfinite(longest_s) else np.ones(h.size, dtype=int)
-    if parts.max() == 1:
+    parts = np.ceil(h / longest_s)
+    if not grid.size < parts.sum() + 1 < MOST_STEPS:
         return grid, levels, h
+    parts = parts.astype(int)
     first = np.repeat(np.cumsum(parts) - parts, parts)
     within_it = (np.arange(first.size) - first) / np.repeat(parts, parts)
     finer = np.append(np.repeat(grid[:-1], parts) + within_it * np.repeat(h, parts), grid[-1])
