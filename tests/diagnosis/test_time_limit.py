@@ -49,6 +49,7 @@ def test_a_search_that_is_cut_ends_in_unexplained_with_the_best_so_far(questions
     answer = diagnose(with_play(2.0), is_spent=after(questions))
     assert answer.verdict == "unexplained"
     assert any("time limit" in note for note in answer.notes)
+    assert answer.summary.startswith("the time limit ended the search")
     assert answer.model["after"] == answer.model["before"]
     assert all(effect.confidence <= 0.5 for effect in answer.effects)
 

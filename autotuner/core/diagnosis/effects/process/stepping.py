@@ -127,8 +127,8 @@ def with_loss_at_the_end(
     Parameters
     ----------
     view : View
-        Process, input and times; any other process has no loss. The lags of a pair that just rings count as equal, so
-        that a search passes from one to the other.
+        Process, input and times; any other process has no loss. Those of a pair that just rings are `n/2` and `2 m/n`,
+        so that a search passes from one to the other.
     f, slope : callable
         A smooth curve and its slope.
     slow_last : bool
@@ -138,10 +138,12 @@ def with_loss_at_the_end(
     if not isinstance(motion, Pair | PairAndLag):
         return view.forced(view.input)
     slow_s = (motion.n + math.sqrt(max(motion.n**2 - 4.0 * motion.m, 0.0))) / 2.0
-    lags_s = (slow_s, motion.m / slow_s, *((motion.T,) if isinstance(motion, PairAndLag) else ()))
+    last_s = slow_s if slow_last else motion.m / slow_s
+    if isinstance(motion, PairAndLag):
+        last_s = max(last_s, motion.T) if slow_last else min(last_s, motion.T)
     grid, v, h = _grid(view, MANY_TO_SOLVE, LONGEST_STEP * slow_s)
     straight = motion.forced(view.input, grid - view.delay_s)[0][0]
-    part = _lag_course(Lag(max(lags_s) if slow_last else min(lags_s)), np.zeros_like(v), h)
+    part = _lag_course(Lag(last_s), np.zeros_like(v), h)
 
     def solve(f0: FloatArray, f1: FloatArray) -> FloatArray:
         added: FloatArray = straight + part(f0 + f1 * straight, f1)
