@@ -56,7 +56,7 @@ def test_a_full_standard_output_is_one_sentence():
 
 
 @pytest.mark.parametrize("command", ["identify", "diagnose"])
-def test_so_it_is_for_a_file(command, tmp_path):
+def test_results_of_a_file_that_cannot_be_printed_end_in_one_sentence(command, tmp_path):
     file = tmp_path / "step.csv"
     t = np.arange(120.0)
     u = np.where(t < 10.0, 40.0, 50.0)

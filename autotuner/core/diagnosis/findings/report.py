@@ -393,18 +393,16 @@ def _summary(
     names = " and ".join(e.name for e in effects)
     if verdict == "adequate":
         grave = [spot.words for spot in blind if spot.grave]
-        return "nothing is missing that this record can show" + (
-            f"; it is blind to {' and '.join(grave)}" if grave else ""
-        )
+        spots = f"; it is blind to {' and '.join(grave)}" if grave else ""
+        return f"nothing is missing that this record can show{spots}"
     if cut:
         return f"the time limit ended the search; best so far is {names or 'the process alone'} (error {ratio})"
     if effects and verdict != "unexplained" and _is_refuted(held):
         return f"the test part speaks against {names}: error from {ratio}; no explanation"
     if verdict == "explained":
         return f"{names or 'other values of the same model'}: error from {ratio}"
-    return _hypothesis(
-        verdict, names, ratio, doubts if is_close(error["fitted"]) and is_close(error["selection"]) else ()
-    )
+    leaves_little = is_close(error["fitted"]) and is_close(error["selection"])
+    return _hypothesis(verdict, names, ratio, doubts if leaves_little else ())
 
 
 def _hypothesis(verdict: Outcome, names: str, ratio: str, open_questions: Sequence[str]) -> str:

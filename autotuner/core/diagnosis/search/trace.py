@@ -201,7 +201,7 @@ def _explanations(
 ) -> list[Fitted]:
     """Return the explanations of one round, the closest first.
 
-    In the first one, effects with a process of their own are searched too, unless another explanation leaves but noise.
+    In the first one, effects with a process of their own are searched too, unless one of the others leaves only noise.
     """
     found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
     if first and not any(is_noise(context, c) and not is_free_load(context, c) for c in found):

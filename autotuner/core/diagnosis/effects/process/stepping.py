@@ -28,7 +28,7 @@ import numpy as np
 
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
-from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states
+from autotuner.core.model.zoh_input import HeldInput, accumulate, accumulate_states, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -127,8 +127,8 @@ def with_loss_at_the_end(
     Parameters
     ----------
     view : View
-        Process, input and times; any other process has no loss. Those of a pair that just rings are `n/2` and `2 m/n`,
-        so that a search passes from one to the other.
+        Process, input and times; any other process has no loss. The lags of a pair that just rings count as `n/2` and
+        `2 m/n`, so that a search passes from one to the other.
     f, slope : callable
         A smooth curve and its slope.
     slow_last : bool
@@ -176,17 +176,19 @@ def _newton(
 
 
 def _grid(view: View, many: int = MANY_MOVES, longest_s: float = math.inf) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the steps of the input, which is averaged where it moves often; few are divided where too long."""
+    """Return the steps of the input, which is averaged where it moves often.
+
+    Steps longer than `longest_s` are divided, unless that makes too many.
+    """
     held = view.input
     held = averaged(held, view.dataset.span_s) if held.times.size > many else held
     grid, levels, h = steps_of(view, held)
     parts = np.ceil(h / longest_s)
     if not grid.size < parts.sum() + 1 < MOST_STEPS:
         return grid, levels, h
-    parts = parts.astype(int)
-    first = np.repeat(np.cumsum(parts) - parts, parts)
-    within_it = (np.arange(first.size) - first) / np.repeat(parts, parts)
-    finer = np.append(np.repeat(grid[:-1], parts) + within_it * np.repeat(h, parts), grid[-1])
+    parts = parts.astype(np.intp)
+    since_s = numbered(parts) / np.repeat(parts, parts) * np.repeat(h, parts)
+    finer = np.append(np.repeat(grid[:-1], parts) + since_s, grid[-1])
     return finer, np.repeat(levels, parts), np.diff(finer)
 
 
