@@ -365,7 +365,7 @@ def test_an_input_times_a_curve_is_their_product_at_any_time():
     random = np.random.default_rng(5)
     held = HeldInput(np.append(0.0, np.sort(random.uniform(0.0, 100.0, 30))), np.append(0.0, random.normal(size=30)))
     times, curve = np.append(0.0, np.sort(random.uniform(0.0, 100.0, 9))), random.normal(size=10)
-    product = times_curve(held, 100.0, lambda t: curve[np.searchsorted(times, t, side="right") - 1], times)
+    product = times_curve(held, 100.0, 100.0, lambda t: curve[np.searchsorted(times, t, side="right") - 1], times)
     for t in random.uniform(0.0, 120.0, 60):
         level, factor, ours = (
             of[np.searchsorted(at, t, side="right") - 1]

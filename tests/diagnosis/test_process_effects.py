@@ -386,7 +386,7 @@ def test_a_gain_that_settles_follows_an_exponential(plant):
 def test_an_input_times_time_has_its_means():
     """Each small step is the mean of u t/span over it, to the next: the area below is that of the ramp."""
     held = HeldInput(np.array([0.0, 20.0, 50.0]), np.array([0.0, 4.0, -2.0]))
-    drifted = times_curve(held, 100.0, lambda t: t / 100.0)
+    drifted = times_curve(held, 100.0, 100.0, lambda t: t / 100.0)
     ends = np.append(drifted.times[1:], 100.0)
     area = float(np.sum(drifted.levels * np.maximum(np.minimum(ends, 100.0) - np.minimum(drifted.times, 100.0), 0.0)))
     exact = 4.0 * (50.0**2 - 20.0**2) / 200.0 - 2.0 * (100.0**2 - 50.0**2) / 200.0

@@ -33,7 +33,12 @@ from autotuner.core.diagnosis.search.joint.late_moves import with_own_times
 from autotuner.core.diagnosis.search.judge import VISIBLE, held_out, noise_of
 from autotuner.core.diagnosis.search.measured_disturbances import with_known
 from autotuner.core.diagnosis.search.trace import Trace, trace
-from autotuner.core.diagnosis.search.uneven_sampling import jitter_seen, jittered_moves, sampled_unevenly
+from autotuner.core.diagnosis.search.uneven_sampling import (
+    is_from_sample_to_sample,
+    jitter_seen,
+    jittered_moves,
+    sampled_unevenly,
+)
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.identification import advice
 from autotuner.core.identification.controller_inverse import controller_of
@@ -250,7 +255,9 @@ class _Record:
         if self.grid is not None:
             return explained_by_grid(context, base.best, self.grid)
         jitter = jitter_seen(context, base.best) if base.held is None else None
-        return jitter is not None and _predicts_later(context, base.best, *jitter)
+        if jitter is None or not is_from_sample_to_sample(context, base.best, *jitter):
+            return False
+        return _predicts_later(context, base.best, *jitter)
 
 
 def _of_new_readings(dataset: Dataset, new: BoolArray) -> Dataset:

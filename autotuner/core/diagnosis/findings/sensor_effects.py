@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import Fitted, fit
 from autotuner.core.diagnosis.findings.advice import remedy
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.diagnosis.record.sensor import COARSE, HARMFUL
+from autotuner.core.diagnosis.search.search import without
 from autotuner.core.diagnosis.search.uneven_sampling import MORE_THAN_NOISE, jitter_seen
 from autotuner.core.signals.noise import rms
 
@@ -116,7 +118,7 @@ def _coarse(context: FitContext, found: Trace, sensor: SensorRecord) -> tuple[Se
     assert grid is not None  # noqa: S101 - asked before
     dataset = context.dataset
     plain = replace(found, chosen=found.chosen)
-    refined = fitted_to_intervals(context, found.chosen, grid)
+    refined = fitted_to_intervals(context, _with_needed_effects(context, found.chosen, grid), grid)
     parts = {"fitted": context.fine, "held_out": context.held_out}
     left = {name: rms(outside(context, refined, grid, rows)) for name, rows in parts.items()}
     if left["fitted"] > COARSE * dataset.grid_noise or dataset.grid_noise < dataset.floor:
@@ -126,6 +128,15 @@ def _coarse(context: FitContext, found: Trace, sensor: SensorRecord) -> tuple[Se
     size = {"step": (0.98 * grid.step, 1.02 * grid.step)}
     finding = SensorFinding(_named("sensor_quantisation", {"step": grid.step}, size))
     return finding, replace(found, chosen=refined)
+
+
+def _with_needed_effects(context: FitContext, chosen: Fitted, grid: Grid) -> Fitted:
+    """Return an explanation without an effect that rounding stands for: the others lie within the readings."""
+    effects = chosen.problem.effects
+    for plainer in (without(context, chosen, effect) for effect in effects if len(effects) > 1):
+        if is_physical(plainer) and explained_by_grid(context, plainer, grid):
+            return _with_needed_effects(context, plainer, grid)
+    return chosen
 
 
 ROUNDS = 8

@@ -48,7 +48,7 @@ LEAST_MOVE, CLEAR_MOVE = 0.2, 0.5
 """Smallest move over the usual one from which moves are those of a sensor that reports changes; the second for that."""
 OWN_VALUES = 0.8
 """Different values over changes of the reading from which a sensor sends what it measures: on a grid they repeat."""
-FEWEST_NEW, FEWEST_ELSEWHERE = 20, 6
+FEWEST_NEW, FEWEST_ELSEWHERE = 20, 3
 """New readings of a sensor that repeats them from which a process is known by them: it has up to ten numbers. On the
 part that is not fitted, they judge only."""
 FROZEN = 8

@@ -42,7 +42,7 @@ ONE_MORE = {FOPDT: SECOND_ORDER, SECOND_ORDER: THIRD_ORDER}
 WINDOW = 2.0 * math.log(20.0)
 """How much higher the criterion of a form may be that is as plain: odds of 20 (Madigan and Raftery)."""
 ALIKE_MISFIT = 1.04
-"""Ratio of the errors on the part not fitted under which two forms predict it about as well."""
+"""Ratio of the errors on a part under which two forms explain it about as well."""
 SHARES = (0.05, 0.2)
 """Initial guesses of the further lag, relative to the longest number of the process."""
 
@@ -70,15 +70,21 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
 
 
 def _alike(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...]) -> list[Fitted]:
-    """Return the other forms of a pool, one of each, that predict the part not fitted about as well."""
+    """Return the other forms of a pool, one of each, that come as near on either part.
+
+    What the fitted part leaves open fails on the other part, and may fit both together.
+    """
     problem, known = chosen.problem, {chosen.keys}
-    most = ALIKE_MISFIT * math.hypot(context.held_out_error(chosen), context.dataset.floor)
+    floor = context.dataset.floor
+    most = ALIKE_MISFIT * math.hypot(context.held_out_error(chosen), floor)
+    most_fitted = ALIKE_MISFIT * math.hypot(chosen.rms, floor)
     found, split = [], _is_split(chosen)
     for other in closest_first(c for c in pool if c.problem.dataset is problem.dataset and c.problem.fixed is None):
         if other.keys in known or len(other.keys) != len(problem.effects) or _is_split(other) != split:
             continue
         known.add(other.keys)
-        found += [_as_plain(chosen, other)] if context.held_out_error(other) < most else []
+        near = other.rms < most_fitted or context.held_out_error(other) < most
+        found += [_as_plain(chosen, other)] if near else []
     return found
 
 

@@ -70,7 +70,9 @@ def sketched(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Eff
     rows = [*ranked[:count], *(starts for starts in ranked[count:] if starts[0].effect.key in ALWAYS_TRIED)]
     rows += _at_any_strength([start for _, start in scored if start is not None], rows)
     return closest_first(
-        closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
+        _as_the_process_feels_it(
+            context, closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
+        )
         for of in within(budget, rows)
     )
 
@@ -117,6 +119,12 @@ def _first_and_alike(ranked: Sequence[Fitted], count: int) -> list[Fitted]:
 def within(budget: Budget, items: Iterable[Item]) -> Iterator[Item]:
     """Yield items while there is time."""
     return takewhile(lambda _: not budget.spent, items)
+
+
+def _as_the_process_feels_it(context: FitContext, candidate: Fitted) -> Fitted:
+    """Return a load step at the input of a process that answers to its own PV: to what the load does, too."""
+    answers = any(effect.response is not None for effect in candidate.problem.effects)
+    return at_the_input(context, candidate) if answers else candidate
 
 
 def at_the_input(context: FitContext, candidate: Fitted) -> Fitted:

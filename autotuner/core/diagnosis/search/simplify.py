@@ -95,22 +95,18 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
 
 
 def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with a third lag of the process where noise hides it, and both parts speak for it.
+    """Return the explanation with a third lag of the process where both parts speak for it.
 
-    Noise with a memory hides more of it. There, the lag is real where the residual is such noise with it only: without
-    it, the innovations follow the output.
+    Noise hides one, and so may an effect that leaves more than noise. Noise with a memory hides more of it: there, the
+    lag is real where the residual is such noise with it only; without it, the innovations follow the output.
     """
     if chosen.problem.structure is not SECOND_ORDER:
         return chosen
     is_noise = chosen.rms <= NOTHING_LEFT * noise_of(context, chosen)
-    may_hide = is_noise or not (chosen.problem.effects or coloured_noise(context, chosen))
-    richer = one_lag_more(context, chosen) if may_hide else None
-    if richer is None:
-        return chosen
-    if not is_noise:
-        return richer if coloured_noise(context, richer) else chosen
-    evidence = weigh(context, chosen, richer)
-    return richer if evidence.gain > 0.0 and evidence.held_out_ratio < 1.0 else chosen
+    if is_noise or chosen.problem.effects:
+        return _with_one_lag_more(context, chosen, 0.0 if is_noise else GAIN)
+    richer = None if coloured_noise(context, chosen) else one_lag_more(context, chosen)
+    return richer if richer is not None and coloured_noise(context, richer) else chosen
 
 
 def with_third_lag_beside_a_loss(context: FitContext, chosen: Fitted) -> Fitted:
@@ -119,13 +115,16 @@ def with_third_lag_beside_a_loss(context: FitContext, chosen: Fitted) -> Fitted:
     No further effect can be one: the loss takes the place of the response of the process.
     """
     problem = chosen.problem
-    if problem.structure is not SECOND_ORDER or not any(e.takes_third for e in problem.effects):
-        return chosen
+    takes_one = problem.structure is SECOND_ORDER and any(e.takes_third for e in problem.effects)
+    return _with_one_lag_more(context, chosen, GAIN) if takes_one else chosen
+
+
+def _with_one_lag_more(context: FitContext, chosen: Fitted, least_gain: float) -> Fitted:
     richer = one_lag_more(context, chosen)
     if richer is None:
         return chosen
     evidence = weigh(context, chosen, richer)
-    return richer if evidence.gain > GAIN and evidence.held_out_ratio < 1.0 else chosen
+    return richer if evidence.gain > least_gain and evidence.held_out_ratio < 1.0 else chosen
 
 
 def with_plain_play(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

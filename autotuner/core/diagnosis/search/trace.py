@@ -204,13 +204,19 @@ def _explanations(
     In the first one, effects with a process of their own are searched too, unless one of the others leaves only noise.
     """
     found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
-    if first and not any(is_noise(context, c) and not is_free_load(context, c) for c in found):
+    if first and not any(_leaves_noise(context, c) for c in found):
         found = closest_first([*found, *_with_processes(context, base, effects)])
     if not found:
         return []
     found = closest_first([*found, *with_other_grids(context, found), *with_other_starts(context, found)])
     found = closest_first([*found, *with_exchanged_effects(context, found, effects)])
     return closest_first([*found, *with_exchanged_forms(context, found, effects)])
+
+
+def _leaves_noise(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether an explanation leaves white noise, and errs elsewhere by no more than its numbers may be off."""
+    small = candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and context.colour(candidate) == 1.0
+    return small and is_near_later(context, candidate) and not is_free_load(context, candidate)
 
 
 def _with_needed_effects(

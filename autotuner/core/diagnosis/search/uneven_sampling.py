@@ -72,6 +72,12 @@ def jitter_seen(context: FitContext, chosen: Fitted) -> tuple[float, float] | No
     return (tau, rest) if short and seen and rough else None
 
 
+def is_from_sample_to_sample(context: FitContext, chosen: Fitted, spread_s: float, rest: float) -> bool:
+    """Return whether each sample is late by itself: several that are late together may be another effect's, too."""
+    scaled = chosen.residual / np.hypot(rest, spread_s * _slope(context, chosen))
+    return float(autocorrelation(scaled)[0]) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(scaled.size))
+
+
 def sampled_unevenly(context: FitContext, alone: Fitted) -> bool:
     """Return whether samples are at other times than recorded, independent of the residual of the process alone."""
     slope = _slope(context, alone)

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     Starts = Sequence[tuple[float, ...]]
     Moved = Callable[[HeldInput, Sequence[float], Dataset], HeldInput]
     Part = Callable[[FloatArray, Sequence[float]], FloatArray]
+    Ramp = tuple[float, float, float, float, int, float]
+    """Begin, position there, duration and rise of the first step, number of steps, and the ratio of a rise to the one
+    before."""
 
 ORIGIN_LEFT = 0.25
 """Uncertainty of the origin of the steps, in steps; over the range of the output, the step size differs by as much."""
@@ -98,7 +101,7 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None, *
 
     Of a ramp within less than a sample, two steps of `finest_s` are enough: the PV is not read in between.
     """
-    ramps = []  # of each: its begin, the position there, and duration, rise and number of its steps
+    ramps: list[Ramp] = []
     x = 0.0
     for t, end, target in held.holds():
         way = target - x
@@ -111,18 +114,21 @@ def rate_limited(held: HeldInput, rising: float, falling: float | None = None, *
         most = math.ceil(covered / finest_s) if finest_s else PIECES
         pieces = max(min(int(PIECES * min(1.0, share + 0.2)), most), 2)
         rise = way * share / pieces
-        ramps.append((t, x, covered / pieces, rise, pieces))
+        ramps.append((t, x, covered / pieces, rise, pieces, 1.0))
         x += rise * pieces
     return _in_steps(held.times[0], ramps)
 
 
-def _in_steps(start_s: float, ramps: Sequence[tuple[float, float, float, float, int]]) -> HeldInput:
+def _in_steps(start_s: float, ramps: Sequence[Ramp]) -> HeldInput:
     """Return a position that is at 0 from its start, and moves by ramps, each in steps about their middle."""
-    begins, positions, durations, rises, pieces = np.array(ramps).reshape(-1, 5).T
+    begins, positions, durations, rises, pieces, ratios = np.array(ramps).reshape(-1, 6).T
     counts = pieces.astype(int)
     step = numbered(counts)
+    ratio = np.repeat(ratios, counts)
+    straight = ratio == 1.0
+    rises_so_far = np.where(straight, step + 1.0, (1.0 - ratio ** (step + 1)) / np.where(straight, 1.0, 1.0 - ratio))
     times = np.repeat(begins, counts) + (step + 0.5) * np.repeat(durations, counts)
-    levels = np.repeat(positions, counts) + (step + 1) * np.repeat(rises, counts)
+    levels = np.repeat(positions, counts) + rises_so_far * np.repeat(rises, counts)
     return HeldInput(np.append(start_s, times), np.append(0.0, levels))
 
 
@@ -147,7 +153,7 @@ def positioner(dataset: Dataset) -> Effect:
 
 def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
     """Return a position that approaches its command like a lag, by so much a second at most, in small steps."""
-    ramps = []  # see `rate_limited`
+    ramps: list[Ramp] = []
     x, arrived_s = 0.0, ARRIVED * lag_s
     for t, end, target in held.holds():
         way = target - x
@@ -155,16 +161,14 @@ def positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
         if ramp_s > 0.0:
             pieces = math.ceil(PIECES * ramp_s * rate / abs(way))
             rise = math.copysign(rate, way) * ramp_s / pieces
-            ramps.append((t, x, ramp_s / pieces, rise, pieces))
+            ramps.append((t, x, ramp_s / pieces, rise, pieces, 1.0))
             x += rise * pieces
         left, rest_s = target - x, min(end - t - ramp_s, arrived_s)
-        pieces = max(math.ceil(OF_A_LAG * rest_s / arrived_s), 1)
-        lasts = rest_s / pieces
-        moved = -math.expm1(-lasts / lag_s)
-        for k in range(pieces if left and rest_s > 0.0 else 0):
-            rise = moved * (target - x)
-            ramps.append((t + ramp_s + k * lasts, x, lasts, rise, 1))
-            x += rise
+        if left and rest_s > 0.0:
+            pieces = math.ceil(OF_A_LAG * rest_s / arrived_s)
+            lasts = rest_s / pieces
+            ramps.append((t + ramp_s, x, lasts, -math.expm1(-lasts / lag_s) * left, pieces, math.exp(-lasts / lag_s)))
+            x = target - left * math.exp(-rest_s / lag_s)
     return _in_steps(held.times[0], ramps)
 
 
@@ -173,7 +177,7 @@ def softly_positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
 
     `sinh(e/b) = sinh(e0/b) e^{-t/lag}` is the way left after a time `t`, with `b = rate lag`, of which `e0` were left.
     """
-    ramps: list[tuple[float, float, float, float, int]] = []  # see `rate_limited`
+    ramps: list[Ramp] = []
     x, band = 0.0, rate * lag_s
     for t, end, target in held.holds():
         way = target - x
@@ -186,7 +190,7 @@ def softly_positioned(held: HeldInput, rate: float, lag_s: float) -> HeldInput:
         left = band * np.arcsinh(np.sinh(bands) * np.exp(-since / lag_s))
         at, rises = target - left, -np.diff(left)
         ramps += [
-            (t + begin, here, lasts / pieces, rise, 1)
+            (t + begin, here, lasts / pieces, rise, 1, 1.0)
             for begin, here, rise in zip(since[:-1].tolist(), at[:-1].tolist(), rises.tolist(), strict=True)
         ]
         x = float(at[-1])

@@ -45,10 +45,13 @@ def gains_in_time(dataset: Dataset) -> tuple[Effect, ...]:
     return _straight(dataset), settling, *free, _jump(dataset)
 
 
-def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:
-    """Return an input times curves of time, in small steps about their middle, and at some further times."""
+def times_curve(held: HeldInput, span_s: float, until_s: float, curve: Curve, also: Sequence[float] = ()) -> HeldInput:
+    """Return an input times curves of time, in small steps about their middle, and at some further times.
+
+    A record of `span_s` is searched, and simulated until `until_s`, the end of the part that is kept for the test.
+    """
     piece = (span_s - held.times[0]) / PIECES
-    end = max(span_s, float(held.times[-1]) + piece)
+    end = max(until_s, float(held.times[-1]) + piece)
     edges = np.union1d(held.times, np.append(np.arange(held.times[0], end, piece), also))
     levels = held.at(edges) * curve((edges + np.append(edges[1:], end)) / 2.0)
     return HeldInput(edges, levels - levels[..., :1])
@@ -57,7 +60,8 @@ def times_curve(held: HeldInput, span_s: float, curve: Curve, also: Sequence[flo
 def _changed(view: View, curve: Curve, also: Sequence[float] = ()) -> FloatArray:
     """Return the response to the input, as it arrives, times a curve of time, or several."""
     arriving = view.position.shifted(np.array(view.delay_s))
-    return view.forced(times_curve(arriving, view.dataset.span_s, curve, also), delayed=False)
+    until_s = float(view.dataset.data.t[-1])
+    return view.forced(times_curve(arriving, view.dataset.span_s, until_s, curve, also), delayed=False)
 
 
 def _straight(dataset: Dataset) -> Effect:
