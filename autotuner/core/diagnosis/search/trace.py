@@ -167,6 +167,7 @@ def trace(
         if accepted:
             following = with_smooth_course(context, _from_its_process(context, following, declared), effects)
             following = with_third_lag_beside_a_loss(context, with_other_forms(context, following))
+            following = _or_with_third_lag(context, following)
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
         steps.append(best)
         if _is_done(context, best, following, accepted=accepted) or _is_late(context, base, steps):
@@ -217,6 +218,14 @@ def _leaves_noise(context: FitContext, candidate: Fitted) -> bool:
     """Return whether an explanation leaves white noise, and errs elsewhere by no more than its numbers may be off."""
     small = candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and context.colour(candidate) == 1.0
     return small and is_near_later(context, candidate) and not is_free_load(context, candidate)
+
+
+def _or_with_third_lag(context: FitContext, following: Fitted) -> Fitted:
+    """Return an explanation with a third lag of the process where nothing else is missing: no effect to be searched."""
+    if _leaves_noise(context, following):
+        return following
+    richer = with_third_lag(context, following)
+    return richer if _leaves_noise(context, richer) else following
 
 
 def _with_needed_effects(
