@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import (
     NOISE_ELSEWHERE,
@@ -83,7 +84,7 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
 
 
 def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
-    """Remove every effect that is no longer needed."""
+    """Remove every effect that is no longer needed, as long as what is left means what its names say."""
     if len(best.problem.effects) < 2:
         return best
     # What was measured goes last: a guess that is not needed beside it gives way first.
@@ -98,7 +99,7 @@ def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
         needed = needed and weighs_enough(context, base.best, simpler, best)
         # One effect alone has to be accepted, too: two may only hold together.
         alone = len(simpler.problem.effects) > 1 or is_accepted(context, base, base.best, simpler)
-        if alone and not needed:
+        if alone and not needed and is_physical(simpler):
             return dropped_back(context, base, simpler)
     return best
 
