@@ -75,7 +75,7 @@ def unusable(recording: Recording) -> Verdict | None:
     if steps <= COARSE:
         return refused(
             "pv_too_coarse",
-            f"the PV moves by {steps} steps of its resolution of {resolution(recording.pv):g} only",
+            f"the PV moves by {np.ptp(recording.pv):g} only, with a resolution of {resolution(recording.pv):g}",
             "Record the PV with finer resolution, or move the output by more.",
         )
     return None
