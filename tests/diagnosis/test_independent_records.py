@@ -1,4 +1,4 @@
-"""Records of the independent generator on which an explanation has more than one effect to find.
+"""Records of the independent generator, each with what one rule of the search is for.
 
 The judges are the generator's own PV, its noise and the gain of its plant, and what it hid.
 """

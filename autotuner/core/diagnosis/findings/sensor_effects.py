@@ -70,12 +70,17 @@ def sensor_findings(context: FitContext, found: Trace, sensor: SensorRecord) -> 
 
 def explained_by_grid(context: FitContext, candidate: Fitted, grid: Grid) -> bool:
     """Return whether a process fitted to the intervals of a coarse sensor lies almost within them."""
-    if context.dataset.grid_noise < max(context.dataset.floor, context.dataset.noise / 2.0):
+    if not _is_coarse(context):
         return False
     refined = fitted_to_intervals(context, candidate, grid)
     return all(
         rms(outside(context, refined, grid, rows)) < HARDLY * grid.step for rows in (context.fine, context.held_out)
     )
+
+
+def _is_coarse(context: FitContext) -> bool:
+    """Return whether the steps of the readings are seen beside the other noise."""
+    return context.dataset.grid_noise >= max(context.dataset.floor, context.dataset.noise / 2.0)
 
 
 def _named(name: str, sizes: dict[str, float], intervals: dict[str, tuple[float, float]]) -> FoundEffect:
@@ -118,7 +123,7 @@ def _coarse(context: FitContext, found: Trace, sensor: SensorRecord) -> tuple[Se
     assert grid is not None  # noqa: S101 - asked before
     dataset = context.dataset
     plain = replace(found, chosen=found.chosen)
-    refined = fitted_to_intervals(context, _with_needed_effects(context, found.chosen, grid), grid)
+    refined = fitted_to_intervals(context, _beside_rounding(context, found.chosen, grid), grid)
     parts = {"fitted": context.fine, "held_out": context.held_out}
     left = {name: rms(outside(context, refined, grid, rows)) for name, rows in parts.items()}
     if left["fitted"] > COARSE * dataset.grid_noise or dataset.grid_noise < dataset.floor:
@@ -130,12 +135,17 @@ def _coarse(context: FitContext, found: Trace, sensor: SensorRecord) -> tuple[Se
     return finding, replace(found, chosen=refined)
 
 
-def _with_needed_effects(context: FitContext, chosen: Fitted, grid: Grid) -> Fitted:
-    """Return an explanation without an effect that rounding stands for: the others lie within the readings."""
+def _beside_rounding(context: FitContext, chosen: Fitted, grid: Grid) -> Fitted:
+    """Return an explanation without the effects that rounding stands for: the PV lies within the readings without them.
+
+    One effect stays: the process alone was compared before the search.
+    """
     effects = chosen.problem.effects
-    for plainer in (without(context, chosen, effect) for effect in effects if len(effects) > 1):
+    if len(effects) < 2 or not _is_coarse(context):
+        return chosen
+    for plainer in (without(context, chosen, effect) for effect in effects):
         if is_physical(plainer) and explained_by_grid(context, plainer, grid):
-            return _with_needed_effects(context, plainer, grid)
+            return _beside_rounding(context, plainer, grid)
     return chosen
 
 

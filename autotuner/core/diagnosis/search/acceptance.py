@@ -32,10 +32,15 @@ NEAR = 1.5
 
 
 def is_noise(context: FitContext, candidate: Fitted) -> bool:
-    """Return whether a candidate leaves white noise of the size that the sensor has."""
+    """Return whether a candidate leaves white noise of the size that the sensor has, on both parts."""
     noise, held = noise_of(context, candidate), context.held_out_residual(candidate)
-    small = candidate.rms < NOTHING_LEFT * noise and float(held @ held) < held.size * (NOISE_ELSEWHERE * noise) ** 2
-    return small and context.colour(candidate) == 1.0
+    quiet = float(held @ held) < held.size * (NOISE_ELSEWHERE * noise) ** 2
+    return quiet and leaves_white_noise(context, candidate)
+
+
+def leaves_white_noise(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether a candidate leaves white noise of the size that the sensor has on the fitted part."""
+    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and context.colour(candidate) == 1.0
 
 
 def is_near_later(context: FitContext, candidate: Fitted) -> bool:

@@ -72,7 +72,7 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
 def _alike(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...]) -> list[Fitted]:
     """Return the other forms of a pool, one of each, that come as near on either part.
 
-    What the fitted part leaves open fails on the other part, and may fit both together.
+    Numbers that the fitted part leaves open may fail on the other part, until both are fitted together.
     """
     problem, known = chosen.problem, {chosen.keys}
     floor = context.dataset.floor

@@ -122,7 +122,7 @@ def within(budget: Budget, items: Iterable[Item]) -> Iterator[Item]:
 
 
 def _as_the_process_feels_it(context: FitContext, candidate: Fitted) -> Fitted:
-    """Return a load step at the input of a process that answers to its own PV: to what the load does, too."""
+    """Return a candidate with its load step at the input where the process answers to its own PV: a load moves it."""
     answers = any(effect.response is not None for effect in candidate.problem.effects)
     return at_the_input(context, candidate) if answers else candidate
 

@@ -23,6 +23,7 @@ from autotuner.core.diagnosis.search.acceptance import (
     is_free_load,
     is_near_later,
     is_noise,
+    leaves_white_noise,
     that_stick,
 )
 from autotuner.core.diagnosis.search.coincidence import LOAD, answers_a_move
@@ -216,12 +217,12 @@ def _explanations(
 
 def _leaves_noise(context: FitContext, candidate: Fitted) -> bool:
     """Return whether an explanation leaves white noise, and errs elsewhere by no more than its numbers may be off."""
-    small = candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and context.colour(candidate) == 1.0
-    return small and is_near_later(context, candidate) and not is_free_load(context, candidate)
+    near = leaves_white_noise(context, candidate) and is_near_later(context, candidate)
+    return near and not is_free_load(context, candidate)
 
 
 def _or_with_third_lag(context: FitContext, following: Fitted) -> Fitted:
-    """Return an explanation with a third lag of the process where nothing else is missing: no effect to be searched."""
+    """Return an explanation with a third lag of the process where that leaves only noise: the search ends with it."""
     if _leaves_noise(context, following):
         return following
     richer = with_third_lag(context, following)
