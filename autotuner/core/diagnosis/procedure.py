@@ -11,6 +11,7 @@ import numpy as np
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
 from autotuner.core.diagnosis.extended.base import Base, base_of, declared_base, is_the_controller
+from autotuner.core.diagnosis.extended.coloured_noise import beside_a_load, is_noise_instead
 from autotuner.core.diagnosis.extended.fit_context import FitContext, bench_of
 from autotuner.core.diagnosis.extended.repair import require_not_swapped, without_gaps
 from autotuner.core.diagnosis.findings.gain_comparison import NOMINAL
@@ -42,7 +43,7 @@ from autotuner.core.diagnosis.search.uneven_sampling import (
 from autotuner.core.estimation.decimate import condensed
 from autotuner.core.identification import advice
 from autotuner.core.identification.controller_inverse import controller_of
-from autotuner.core.signals.feedback import process_sign
+from autotuner.core.signals.feedback import process_sign, set_point_moves
 from autotuner.core.signals.noise import rms
 from autotuner.errors import RecordingError
 
@@ -233,7 +234,16 @@ class _Record:
         jittered = self._jittered(first, found, spikes)
         if jittered is not None:
             return *jittered, none
-        return context, first, found, spikes
+        return context, first, self._with_load(context, base, found), spikes
+
+    def _with_load(self, context: FitContext, base: Base, found: Trace) -> Trace:
+        """Return the process of a loop beside a large load, where its innovations need none of the effects."""
+        loaded = None
+        if base.held is None and set_point_moves(self.used):
+            loaded = beside_a_load(context, base.best, self.sign)
+        if loaded is None or not is_noise_instead(context, loaded, found.chosen):
+            return found
+        return replace(found, alone=loaded, chosen=loaded)
 
     def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[FitContext, Base, Trace] | None:
         """Return the trace of a loop with uneven times of both samples and moves; None otherwise."""

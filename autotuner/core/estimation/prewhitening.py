@@ -72,8 +72,26 @@ def remembered(candidate: Candidate, data: Data, prior: GainPrior = ANY_GAIN) ->
     prior : GainPrior
         Prior knowledge of the static gain.
     """
+    found = None if candidate.white else with_memory(candidate, data, prior, SWINGS_ON)
+    return found if found is not None and _is_near(found.solution, _counting(data, candidate), prior) else None
+
+
+def with_memory(candidate: Candidate, data: Data, prior: GainPrior, swings_on: float) -> Candidate | None:
+    """Return a structure where its innovations are least; None where these are not white, or follow the output.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        Where the search starts.
+    data : Data
+        The recording.
+    prior : GainPrior
+        Prior knowledge of the static gain.
+    swings_on : float
+        Share of an oscillation left after a period from which on it is a disturbance, not noise.
+    """
     whole = _counting(data, candidate)
-    if candidate.white or candidate.solution.problem.data.shaken is not None or not _is_even(whole):
+    if candidate.solution.problem.data.shaken is not None or not is_even(whole):
         return None
     choices = choices_of(whole, candidate.structure.stiffness)
     firsts = dict.fromkeys((choices[0], candidate.solution.problem.background))
@@ -81,11 +99,11 @@ def remembered(candidate: Candidate, data: Data, prior: GainPrior = ANY_GAIN) ->
     found = [solution for solution in tried if solution is not None]
     if not found:
         return None
-    best = min(found, key=_criterion)
+    best = min(found, key=criterion_of)
     candidate_ = candidate_of(best, prior, candidate.spikes, candidate.floor)
     if candidate_ is None or candidate_.model.structure != candidate.model.structure:
         return None
-    return candidate_ if _is_near(best, whole, prior) and _is_explained(best) else None
+    return candidate_ if _is_explained(best, swings_on) else None
 
 
 def _counting(data: Data, candidate: Candidate) -> Data:
@@ -95,7 +113,7 @@ def _counting(data: Data, candidate: Candidate) -> Data:
     return data.weighted(np.where(np.arange(weight.size) < first, data.weight, weight))
 
 
-def _is_even(data: Data) -> bool:
+def is_even(data: Data) -> bool:
     """Return whether most samples follow others in even steps."""
     return len(even_runs(data.t, data.weight)) * SAMPLES_EACH < int(np.count_nonzero(data.weight))
 
@@ -153,7 +171,7 @@ def _moved(before: Start, after: Start, interval_s: float) -> float:
     return max(abs(new - old) / max(abs(old), NOTHING * interval_s) for old, new in pairs)
 
 
-def _criterion(solution: Solution) -> float:
+def criterion_of(solution: Solution) -> float:
     """Return `N ln(S/N)` with the price of the background, by which solutions with other backgrounds are compared."""
     columns = solution.problem.linear(solution.theta).size
     return solution.problem.data.t.size * math.log(solution.score) + PRICE * columns
@@ -166,11 +184,11 @@ def _is_near(solution: Solution, data: Data, prior: GainPrior) -> bool:
     return rms(_left(solution)) < FARTHER * rms(_left(plain))
 
 
-def _is_explained(solution: Solution) -> bool:
+def _is_explained(solution: Solution, swings_on: float) -> bool:
     """Return whether the residual is white, and shows nothing of the output."""
     problem, theta = solution.problem, solution.theta
     data = problem.data
-    if data.coloured is None or data.coloured.memory.swings_on > SWINGS_ON:
+    if data.coloured is None or data.coloured.memory.swings_on > swings_on:
         return False
     residual = problem.residual(theta)
     r = autocorrelation(residual[data.weight > 0.0])

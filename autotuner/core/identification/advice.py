@@ -10,7 +10,7 @@ import numpy as np
 from autotuner.core.estimation.drift import output_before
 from autotuner.core.identification.result import most_unexplained, share_unexplained, what_looks_so
 from autotuner.core.notes import SMALL_MISFIT, Doubt, Note
-from autotuner.core.signals.feedback import is_kept_at_set_point, moves_all_the_time
+from autotuner.core.signals.feedback import is_kept_at_set_point, moves_all_the_time, set_point_moves
 from autotuner.core.signals.noise import noise_sigma, resolution
 from autotuner.core.verdict import Outcome, Verdict, refused
 
@@ -138,6 +138,7 @@ def warnings_about(
         *_near_ties(choice),
         *_fed_back(recording),
         *_coloured(best, estimate, step, recording),
+        *_beside_a_load(best),
         *_from_before(best, recording),
         *_outliers(best),
         *_moments(best),
@@ -224,6 +225,19 @@ def odd_output_before(fitted: Candidate, recording: Recording) -> float | None:
     return None if 2.0 * low - high <= claimed <= 2.0 * high - low else claimed
 
 
+def _beside_a_load(best: Candidate) -> list[str]:
+    """Return the size of the unmeasured disturbance where the process was found by the error of prediction."""
+    if not best.memory:
+        return []
+    problem = best.solution.problem
+    left = problem.left(best.solution.theta)[best.counts]
+    text = (
+        f"something that is not recorded moves the PV by {float(np.std(left)):.3g} (standard deviation) besides the "
+        f"output: the model is the one that predicts every sample best from those before it, to {best.rmse:.3g}"
+    )
+    return [Note(text)]
+
+
 def _from_before(best: Candidate, recording: Recording) -> list[str]:
     claimed = odd_output_before(best, recording)
     if best.inflation < COLOURED or claimed is None:
@@ -240,8 +254,7 @@ def _from_before(best: Candidate, recording: Recording) -> list[str]:
 
 def _fed_back(recording: Recording) -> list[str]:
     """Return whether the output was a controller's, with nothing from outside (not even a relay) moving the loop."""
-    set_point = np.zeros(1) if recording.set_point is None else recording.set_point[np.isfinite(recording.set_point)]
-    moved_from_outside = np.unique(set_point).size > 1 or "online" in recording.settings
+    moved_from_outside = set_point_moves(recording) or "online" in recording.settings
     if not moves_all_the_time(recording) or moved_from_outside:
         return []
     return [

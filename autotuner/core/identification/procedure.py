@@ -14,6 +14,7 @@ import numpy as np
 
 from autotuner.core.estimation.data import GainPrior, data_of
 from autotuner.core.estimation.decimate import condensed
+from autotuner.core.estimation.disturbed_loop import with_disturbance
 from autotuner.core.estimation.drift import levelled
 from autotuner.core.estimation.noise.outliers import without_wild
 from autotuner.core.estimation.prewhitening import remembered
@@ -31,7 +32,7 @@ from autotuner.core.identification.measured_disturbances import answering, movin
 from autotuner.core.identification.result import Estimate, Fit, Identification, refuse
 from autotuner.core.identification.selection import MOMENTS, Choice, choose
 from autotuner.core.model.structures import searched
-from autotuner.core.signals.feedback import process_sign
+from autotuner.core.signals.feedback import moves_all_the_time, process_sign, set_point_moves
 from autotuner.core.signals.limit_cycle import measure_limit_cycle
 from autotuner.core.signals.noise import noise_sigma, quantisation, resolution
 from autotuner.errors import InputError
@@ -140,6 +141,7 @@ def _identified(
         return data, _chosen(data, stuck, lambda samples: choose(samples, structure, prior, step, moments))
 
     data, choice, found, recording = answering(with_named, named, recording)
+    choice = _beside_a_load(choice, structure, recording, data, prior, step)
     level = recording if choice is None else levelled(recording, choice.best)
     cycle = measure_limit_cycle(level) if beside is None else beside.cycle
     if choice is None:
@@ -168,9 +170,23 @@ def _doubts(
     return wrong, said
 
 
+def _beside_a_load(
+    choice: Choice | None, structure: str, recording: Recording, data: Data, prior: GainPrior, step: float
+) -> Choice | None:
+    """Return the process that predicts best where a closed loop has a load as large as the moves of its set point.
+
+    Plain least squares lies between the process and the inverse of the controller there, often with the wrong sign.
+    """
+    in_loop = moves_all_the_time(recording) and set_point_moves(recording)
+    if choice is None or not in_loop or advice.unexplained_share(choice.best, recording, step) <= MOST_NOISE:
+        return choice
+    found = with_disturbance([candidate for candidate, _ in choice.ranking], searched(structure), data, prior)
+    return choice if found is None else Choice(found, ((found, 0.0),))
+
+
 def _fitted(best: Candidate, recording: Recording, data: Data, prior: GainPrior, step: float) -> Candidate:
     """Return the chosen structure with its autoregressive noise, unless the residual is more than noise."""
-    if advice.unexplained_share(best, recording, step) > MOST_NOISE:
+    if best.memory or advice.unexplained_share(best, recording, step) > MOST_NOISE:
         return best
     behind = remembered(best, data, prior)
     return best if behind is None or advice.odd_output_before(behind, recording) is not None else behind

@@ -40,6 +40,12 @@ def moves_all_the_time(recording: Recording) -> bool:
     return float(np.mean(np.diff(recording.output) != 0.0)) >= FOLLOWS
 
 
+def set_point_moves(recording: Recording) -> bool:
+    """Return whether the set point is recorded, and changes."""
+    known = np.zeros(1) if recording.set_point is None else recording.set_point[np.isfinite(recording.set_point)]
+    return bool(np.unique(known).size > 1)
+
+
 def is_kept_at_set_point(recording: Recording) -> bool:
     """Return whether the PV is nearer to a recorded set point than the output is: a controller keeps it there."""
     set_point = recording.set_point

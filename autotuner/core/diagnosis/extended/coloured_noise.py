@@ -5,8 +5,9 @@
 A residual is such noise where (1) its innovations are white, (2) past outputs explain nothing of them, (3) they are
 as large on the selection part as on the fitted one, and in every fifth of the fitted part, (4) the memory fades
 within half of the process's own lags, or within one and a half where the innovations are normal, and (5) the noise is
-a small share of the PV's motion. A slow or uneven residual is none, and stays unexplained. (Ljung, System
-Identification, 1999, ch. 16.6: residual analysis.)
+a small share of the PV's motion. A slow or uneven residual is none, and stays unexplained. Where the process was fitted
+beside the noise (`beside_a_load`), its memory may be longer, and its share larger. (Ljung, System Identification, 1999,
+ch. 16.6: residual analysis.)
 
 Effects give way to it where they are not worth their numbers:
 
@@ -18,15 +19,20 @@ Effects give way to it where they are not worth their numbers:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.estimation.data import GainPrior
+from autotuner.core.estimation.disturbed_loop import with_disturbance
 from autotuner.core.estimation.linear_least_squares import residual_after
 from autotuner.core.estimation.noise.ar_noise import Coloured, Memory, even_runs, memory_of
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER, log_shape
 from autotuner.core.quantiles import chi2_tail, f_tail
 from autotuner.core.signals.noise import autocorrelation, rms
 
@@ -44,6 +50,9 @@ UNEVEN = 1.6
 FADES, FADES_WITH_PROCESS = 0.5, 1.5
 """Time constant of the memory over the process's own: of any noise, and of the sum of many small disturbances, which is
 normal and has passed the process. That has the process's own memory, known to about half."""
+FEWEST_LENGTHS = 12
+"""Fewest time constants of the memory in the fitted part, where the process was fitted beside the noise: a few slow
+swings are a single event, which has a name."""
 BLOCKS, PAST = 5, 12
 
 
@@ -65,7 +74,8 @@ def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None
     dataset = context.dataset
     rows, residual = _residual(context, candidate)
     noise, motion = rms(residual), float(np.std(dataset.data.pv[rows]))
-    if rows.size < 5 * PAST or not 0.0 < noise < MOST_OF_THE_MOTION * motion:
+    most = MOST_OF_THE_MOTION if candidate.problem.memory is None else math.inf
+    if rows.size < 5 * PAST or not 0.0 < noise < most * motion:
         return None
     t, memory = dataset.data.t, _memory(context, rows, residual)
     if not memory.order:
@@ -84,6 +94,35 @@ def coloured_noise(context: FitContext, candidate: Fitted) -> Innovations | None
     if max(blocks) > UNEVEN * size or late > UNEVEN * size:
         return None
     return Innovations(noise, size, late)
+
+
+def beside_a_load(context: FitContext, plain: Fitted, sign: int) -> Fitted | None:
+    """Return the process of a closed loop with a large load, by its error of prediction; None where it has no such one.
+
+    Plain least squares lies between the process and the inverse of the controller there (see `disturbed_loop`).
+
+    Parameters
+    ----------
+    context : FitContext
+        The record, in which the set point moves.
+    plain : Fitted
+        The process by plain least squares.
+    sign : int
+        Sign of the gain; 0 when unknown.
+    """
+    dataset, rows = context.dataset, np.flatnonzero(context.dataset.fitted)
+    if not dataset.in_loop or plain.rms < MOST_OF_THE_MOTION * float(np.std(dataset.data.pv[rows])):
+        return None
+    before = slice(0, rows[-1] + 1)
+    weight = dataset.fitted[before].astype(float)
+    data = replace(dataset.data, t=dataset.data.t[before], pv=dataset.data.pv[before], weight=weight)
+    found = with_disturbance((), (FOPDT, SECOND_ORDER), data, GainPrior(None, sign))
+    if found is None or found.solution.problem.data.coloured is None:
+        return None
+    memory, start = found.solution.problem.data.coloured.memory, found.solution.start
+    problem = replace(plain.problem, structure=found.structure, memory=memory, rows=rows)
+    fitted = fit(problem, np.array([*log_shape(start.shape), start.delay_s / problem.unit_s]))
+    return fitted if is_physical(fitted) and coloured_noise(context, fitted) is not None else None
 
 
 def is_noise_instead(context: FitContext, plain: Fitted, chosen: Fitted) -> bool:
@@ -128,7 +167,9 @@ def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float, innovati
     lasts_s = -interval_s / math.log(longest)
     if lasts_s < FADES * (own_s or candidate.problem.dataset.span_s):
         return True
-    return lasts_s < FADES_WITH_PROCESS * own_s and normality(innovations) > SURE
+    beside = candidate.problem.memory is not None
+    most_s = innovations.size * interval_s / FEWEST_LENGTHS if beside else FADES_WITH_PROCESS * own_s
+    return lasts_s < most_s and normality(innovations) > SURE
 
 
 def normality(values: FloatArray) -> float:

@@ -5,7 +5,8 @@
 
 `theta` holds the logarithms of the process's time constants, its dead time in units of `unit_s`, then the numbers that
 the effects search for. Gains, offset and all sizes are columns and are solved for. The search is Levenberg-Marquardt
-within bounds: a step is clipped, and only one that lowers the misfit is taken.
+within bounds: a step is clipped, and only one that lowers the misfit is taken. With autoregressive noise, PV and
+columns are those after the filter that makes it white, and the residual is that of prediction (see `ar_noise`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Searched, View
 from autotuner.core.estimation.linear_least_squares import solve_linear
+from autotuner.core.estimation.noise.ar_noise import Coloured
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.estimation.noise.ar_noise import Memory
     from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.model.process import ProcessModel
     from autotuner.core.model.structures import Structure
@@ -61,6 +64,8 @@ class Extended:
         What the PV does besides.
     fixed : tuple of float or None
         Process part of `theta` where a declared model is held; gain and offset are solved for all the same.
+    memory : Memory or None
+        What the noise remembers from sample to sample; None where it is taken as white.
     """
 
     dataset: Dataset
@@ -69,6 +74,7 @@ class Extended:
     rows: IntArray
     background: tuple[str, ...] = ("offset",)
     fixed: tuple[float, ...] | None = None
+    memory: Memory | None = None
 
     @property
     def unit_s(self) -> float:
@@ -116,6 +122,26 @@ class Extended:
         loads = [load(p, dataset) for load, p in with_load]
         entering = _with_loads(held, loads, D) if loads else None
         return View(dataset, dataset.data.t[rows], D, motion, held, entering)
+
+    @property
+    def computed(self) -> IntArray:
+        """The samples at which the PV is simulated for a fit: with a memory, also those between the fitted ones."""
+        return self.rows if self.memory is None else np.arange(self.rows[0], self.rows[-1] + 1)
+
+    @property
+    def target(self) -> FloatArray:
+        """The PV that is fitted."""
+        return self.whitened(self.dataset.data.pv[self.computed])
+
+    def whitened(self, values: FloatArray) -> FloatArray:
+        """Return columns of all computed samples, or a single one, as they are fitted: their noise white."""
+        if self.memory is None:
+            return values
+        dataset, rows = self.dataset, self.computed
+        counts = (dataset.fitted | dataset.held_out)[rows].astype(float)
+        white = Coloured.of(self.memory, dataset.data.t[rows], counts).whitened(values)
+        result: FloatArray = white[self.rows - rows[0]]
+        return result
 
     def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:
         """Return the columns at some samples, and how many of them each effect added."""
@@ -352,9 +378,10 @@ class _Point:
 
     def __init__(self, problem: Extended, theta: FloatArray) -> None:
         self.problem, self.theta = problem, theta
-        self.view = problem.view(theta, problem.rows)
-        self.columns, self.counts = problem.columns_of(self.view, theta)
-        target = problem.dataset.data.pv[problem.rows]
+        self.view = problem.view(theta, problem.computed)
+        self.simulated, self.counts = problem.columns_of(self.view, theta)
+        self.columns = problem.whitened(self.simulated)
+        target = problem.target
         self.q, self.linear = solve_linear(self.columns, target)
         self.residual = target - self.q @ (self.q.T @ target)
         self.misfit = float(self.residual @ self.residual)
@@ -363,9 +390,9 @@ class _Point:
 
     def slopes(self, count: int | None = None) -> FloatArray:
         """Return the slope of the simulated PV with each searched number (or the first few), the linear ones held."""
-        simulated = self.columns @ self.linear
+        simulated = self.simulated @ self.linear
         searched_for = self.problem.searched[:count]
-        moved = np.zeros((self.residual.size, len(searched_for)))
+        moved = np.zeros((simulated.size, len(searched_for)))
         known = self._known(moved)
         for k, searched in enumerate(searched_for):
             if k in known or searched.step == 0.0:
@@ -374,22 +401,22 @@ class _Point:
             shifted = self.theta.copy()
             shifted[k] += step
             moved[:, k] = (self._columns_at(shifted, k) @ self.linear - simulated) / step
-        return moved
+        return self.problem.whitened(moved)
 
     def _columns_at(self, theta: FloatArray, k: int) -> FloatArray:
         """Return the columns at a `theta` with another number `k`: only those that may depend on it are new."""
         problem, ahead, column = self.problem, len(self.problem.structure.shape) + 1, self.problem.structure.gains
-        background = self.columns[:, column + sum(self.counts) :] if k >= ahead else None
+        background = self.simulated[:, column + sum(self.counts) :] if k >= ahead else None
         for effect, count in zip(problem.effects, self.counts, strict=True):
             first, ahead = ahead, ahead + len(effect.searched)
             if first <= k < ahead and count and effect.columns is not None and effect.only_adds:
-                columns = self.columns.copy()
+                columns = self.simulated.copy()
                 columns[:, column : column + count] = np.transpose(
                     effect.columns(self.view, theta[first:ahead].tolist())
                 )
                 return columns
             column += count
-        return problem.columns_of(problem.view(theta, problem.rows), theta, background)[0]
+        return problem.columns_of(problem.view(theta, problem.computed), theta, background)[0]
 
     def _known(self, moved: FloatArray) -> set[int]:
         """Write the slopes that effects know at once; return which they are."""

@@ -74,7 +74,8 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
     residual = _residual(context, fitted)
     free = max(residual.size - J.shape[1], 1)
     square = float(residual @ residual) / free
-    elsewhere = float(np.mean(context.held_out_residual(fitted) ** 2))
+    # Innovations are not the error of simulation, and are the same on both parts where noise with a memory is accepted.
+    elsewhere = square if fitted.problem.memory else float(np.mean(context.held_out_residual(fitted) ** 2))
     variance = min(max(elsewhere, square), MOST_MORE * square) * context.inflation(residual)
     cov = np.zeros((fitted.theta.size + columns.shape[1],) * 2)
     at = held + np.flatnonzero(live)
@@ -336,7 +337,7 @@ def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, Float
     columns, slopes = fitted.problem.tangent(theta)
     held = fitted.theta.size - slopes.shape[1]
     others = np.delete(np.arange(held, theta.size), k - held)
-    pv = fitted.problem.dataset.data.pv[fitted.problem.rows]
+    pv = fitted.problem.target
     q, found = solve_linear(np.hstack((columns, slopes[:, others - held])), pv)
     left = pv - q @ (q.T @ pv)
     theta[others] += found[columns.shape[1] :]
