@@ -1,11 +1,20 @@
 """The process as a controller meets it: gains are for the loop that is there, effects included."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from autotuner.core.diagnosis.findings.controller_view import controller_view
 from autotuner.core.diagnosis.findings.result import FoundEffect
-from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, model_to_dict
+from autotuner.core.model.process import (
+    Fopdt,
+    Integrating,
+    SopdtOverdamped,
+    SopdtUnderdamped,
+    frequency_response,
+    model_to_dict,
+)
 
 PLANT = Fopdt(2.0, 10.0, 1.5)
 COVARIANCE = np.diag([0.04, 0.25, 0.01])
@@ -118,6 +127,18 @@ def test_a_recycle_is_left_out_only_where_what_comes_back_is_small(process, shar
 def test_a_further_lag_is_part_of_the_process(process, expected):
     met = controller_view(process, None, [found("extra_lag", time_constant_s=4.0)])
     assert model_to_dict(met.model) == pytest.approx(expected)
+
+
+def test_two_further_lags_are_one_by_the_half_rule():
+    """Two lags of 2 s: the second one goes half to the first, and half to the dead time (Skogestad)."""
+    two = replace(found("extra_lag", time_constant_s=4.0), form="third and fourth")
+    met = controller_view(PLANT, None, [two]).model
+    assert model_to_dict(met) == pytest.approx(
+        {"structure": "sopdt_overdamped", "K": 2.0, "T1": 10.0, "T2": 3.0, "D": 2.5}
+    )
+    w = np.geomspace(0.01, 0.25, 30)  # up to where the phase is -180 degrees
+    exact = 2.0 * np.exp(-1.5j * w) / (10j * w + 1.0) / (2j * w + 1.0) ** 2
+    assert np.abs(frequency_response(met, w) / exact - 1.0).max() < 0.05
 
 
 def test_a_further_lag_brings_its_own_error():

@@ -35,6 +35,16 @@ def test_a_plant_of_three_lags_has_them_beside_an_effect(key, seed, experiment):
     assert found.error["held_out"].after < 1.2 * hidden.sigma
 
 
+@pytest.mark.parametrize(("seed", "experiment"), [(789, "relay"), (794, "relay"), (796, "random")])
+def test_a_plant_of_four_lags_has_two_after_a_pair(seed, experiment):
+    """Three lags alone leave 1.25 to 1.8 sigmas on the test part."""
+    hidden, found = hidden_and_found("extra_lag:four lags", seed, experiment)
+    assert [(e.name, e.form) for e in found.effects] == [("extra_lag", "third and fourth")]
+    assert found.error["held_out"].after < 1.1 * hidden.sigma
+    low, high = found.to_dict()["model"]["after"]["interval95"]["K"]
+    assert low <= hidden.gain <= high
+
+
 @pytest.mark.parametrize(("key", "seed", "experiment"), [("straight", 789, "steps"), ("fouling", 786, "short")])
 def test_a_gain_drifts_on_after_the_last_move(key, seed, experiment):
     hidden, found = hidden_and_found(f"gain_drift:{key}", seed, experiment)

@@ -16,7 +16,7 @@ from autotuner.core.diagnosis.effects.declared import declared_effects
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
-from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag
+from autotuner.core.diagnosis.effects.process.textbook_forms import further_lags, process_effects
 from autotuner.core.diagnosis.effects.sensor_hysteresis import sensor_hysteresis
 from autotuner.core.diagnosis.effects.waves import slow_wave
 from autotuner.core.diagnosis.record.waiting import waiting_of
@@ -54,7 +54,7 @@ def catalogue(
     waiting = waiting_of(dataset)
     every = np.arange(dataset.data.t.size)
     residuals = [dataset.data.pv - model.simulated(every) for model in (base, *others)]
-    dynamics = declared_effects(dataset, declared) if declared is not None else (third_lag(dataset, base),)
+    dynamics = declared_effects(dataset, declared) if declared is not None else further_lags(dataset, base)
     return (
         *(() if waiting.follows else friction_effects(dataset)),
         *actuator_effects(dataset, update_grids(base, rows), step_grids(base, rows)),

@@ -8,7 +8,7 @@
     rate_limit           D <- D + the lag of its positioner
     flow_delay           D <- D longest_over_first        the dead time at the lowest flow of the record
     dead_time_jump       D <- D max(1, later_over_first)  the longer of two dead times
-    extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag
+    extra_lag            G <- G/(Tx s + 1);  D <- D + Tx  where no model holds the lag;  two by the half rule
     inverse_response     G <- G (1 - Z s);  refused as a second way with a time constant of its own
     slow_mode, recycle   omitted, where the slow mode, or what comes back, is small at the crossover of a loop; else
                          refused
@@ -59,6 +59,8 @@ LATER = {
 LONGER = {"flow_delay": "longest_over_first", "dead_time_jump": "later_over_first"}
 """Effects under which the dead time is not always the same, and the size that states how much longer it becomes."""
 ZERO, SLOW_MODE, RECYCLE, LAG = "inverse_response", "slow_mode", "recycle", "extra_lag"
+TWO_LAGS, HALF_RULE = "third and fourth", 0.75
+"""Form of two further lags, and the share of their sum that one lag in their place has."""
 SMALL = 0.5
 """Ratio of what a slow mode, or a recycle, adds at crossover to the response of the process, from which the process
 alone is insufficient."""
@@ -185,11 +187,16 @@ def _with_dead_time(view: ControllerView, later_s: float) -> ControllerView:
 
 
 def _with_lag(view: ControllerView, effect: FoundEffect) -> ControllerView:
-    """Return the process with a further lag, whose error is assumed independent of the others."""
+    """Return the process with a further lag, whose error is assumed independent of the others.
+
+    Two of them, equal, are one and a half, and half of one as dead time (half rule; Skogestad, J. Process Control 13).
+    """
     names, lag_s = list(view.model.parameters()), effect.parameters["time_constant_s"]
+    share = HALF_RULE if effect.form == TWO_LAGS else 1.0
 
     def behind(x: FloatArray) -> ProcessModel:
-        return _behind_a_lag(view.model, dict(zip(names, x[:-1].tolist(), strict=True)), float(x[-1]))
+        p, together_s = dict(zip(names, x[:-1].tolist(), strict=True)), float(x[-1])
+        return _behind_a_lag(view.model, {**p, "D": p["D"] + (1.0 - share) * together_s}, share * together_s)
 
     x = np.array([*view.model.parameters().values(), lag_s])
     model = behind(x)

@@ -72,7 +72,7 @@ ELSEWHERE = 1.5
 """Ratio of the errors on the held-out and the fitted part from which the effect is less certain."""
 LESS_THAN_NOISE = 0.5
 """Root mean square difference of two simulated PVs, in noise sigmas, under which no record distinguishes them."""
-OWN_ORDER = "third"
+OWN_ORDER = frozenset({"third", "third and fourth"})
 """Form of a further lag that belongs to the process: named last, after external effects."""
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
@@ -118,7 +118,7 @@ def reported(
     the gains.
     """
     effects, found, spread_s = _all_effects(context, found, sensor, model)
-    coloured = coloured_noise(context, found.chosen) if all(e.form == OWN_ORDER for e in effects) else None
+    coloured = coloured_noise(context, found.chosen) if all(e.form in OWN_ORDER for e in effects) else None
     noise = max(min(noise_of(context, first.best), found.noise), 0.0 if coloured is None else coloured.noise)
     errors = Errors(context, parts, found.alone, found.chosen, noise, spread_s)
     error = errors.by_part()
@@ -183,7 +183,7 @@ def _all_effects(
     chosen = with_third_lag(context, found.chosen) if model is None else found.chosen
     named = {f.effect.name for f in findings}
     effects = (*(e for e in _effects(context, found, chosen) if e.name not in named), *(f.effect for f in findings))
-    effects = tuple(sorted(effects, key=lambda e: e.form == OWN_ORDER))
+    effects = tuple(sorted(effects, key=lambda e: e.form in OWN_ORDER))
     alone = chosen if found.chosen is found.alone else found.alone
     return effects, replace(found, alone=alone, chosen=chosen), sum(f.spread_s for f in findings)
 

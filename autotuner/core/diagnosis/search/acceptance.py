@@ -18,7 +18,7 @@ from autotuner.core.diagnosis.search.judge import (
     weigh,
     weighs_enough,
 )
-from autotuner.core.diagnosis.search.search import without
+from autotuner.core.diagnosis.search.search import disturbances_of, without
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +89,10 @@ def is_accepted(context: FitContext, base: Base, before: Fitted, after: Fitted) 
 
 
 def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
-    """Remove every effect that is no longer needed, as long as what is left means what its names say."""
+    """Remove every effect that is no longer needed, as long as what is left means what its names say.
+
+    A disturbance among what is left gets another form later, if its numbers are not those of this one.
+    """
     if len(best.problem.effects) < 2:
         return best
     # What was measured goes last: a guess that is not needed beside it gives way first.
@@ -104,7 +107,7 @@ def dropped_back(context: FitContext, base: Base, best: Fitted) -> Fitted:
         needed = needed and weighs_enough(context, base.best, simpler, best)
         # One effect alone has to be accepted, too: two may only hold together.
         alone = len(simpler.problem.effects) > 1 or is_accepted(context, base, base.best, simpler)
-        if alone and not needed and is_physical(simpler):
+        if alone and not needed and (is_physical(simpler) or disturbances_of(simpler.problem.effects)):
             return dropped_back(context, base, simpler)
     return best
 

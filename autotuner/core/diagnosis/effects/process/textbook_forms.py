@@ -8,6 +8,7 @@ With `w` the response of the process of unit gain to the input `v`, both as devi
     slow_mode           + c v/(Ts s + 1)                    a slow second mode
                         + c1 v/(Ts s + 1) + c2 v/(q Ts s + 1)   heat that spreads: many modes, for which two stand
     extra_lag           G(s)/(Tx s + 1)
+                        G(s)/((1 + e) Tx s + 1)/((1 - e) Tx s + 1)      a row of lags; by partial fractions
     inverse_response    + c dw/dt
                         + c v/(Tq s + 1),  c of the other sign, Tq short     a second, quicker way that acts against it
     not_settled         + the motion from an initial state
@@ -42,6 +43,10 @@ if TYPE_CHECKING:
 
 BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
 """Initial guesses of limits: below the highest output, in swings, and at quantiles of the response."""
+TWO = "third and fourth"
+UNLIKE = 0.15
+"""Difference of each of two further lags from their mean, as a share of it: equal ones have no partial fractions, and
+of unlike ones a record shows little more than the mean."""
 THIRD = (0.1, 0.35)
 """Third lag to start from, over the sum of the two."""
 MOST_AGAINST = 0.6
@@ -233,28 +238,34 @@ def _second_way(dataset: Dataset) -> Effect:
     )
 
 
-def third_lag(dataset: Dataset, base: Fitted) -> Effect:
-    """Return a lag after a pair of them, which a free model of two lags cannot absorb."""
+def further_lags(dataset: Dataset, base: Fitted) -> tuple[Effect, Effect]:
+    """Return a lag, and two, after a pair of lags, which a free model of two lags cannot absorb."""
     shape, _, _ = base.problem.split(base.theta)
     whole_s = shape[0] if shape else dataset.span_s / 20.0
     low, high = math.log(0.2 * dataset.data.interval_s), math.log(dataset.span_s)
 
-    def response(view: View, p: Sequence[float]) -> FloatArray:
+    def behind(view: View, lag_s: float) -> FloatArray:
         motion, when = view.motion, view.t - view.delay_s
         if isinstance(motion, Pair):
-            return PairAndLag(motion.m, motion.n, math.exp(p[0])).forced(view.input, when)[0][0]
+            return PairAndLag(motion.m, motion.n, lag_s).forced(view.input, when)[0][0]
         return view.forced(view.input)
 
-    return Effect(
+    def two(view: View, p: Sequence[float]) -> FloatArray:
+        slow, quick = (1.0 + UNLIKE) * math.exp(p[0]), (1.0 - UNLIKE) * math.exp(p[0])
+        return (slow * behind(view, slow) - quick * behind(view, quick)) / (slow - quick)
+
+    third = Effect(
         "extra_lag",
         Place.PROCESS,
         (Searched("log_lag", low, high, 1e-4),),
         [(min(max(math.log(share * whole_s), low), high),) for share in THIRD],
         lambda p, _c, _g: {"time_constant_s": math.exp(p[0])},
         form="third",
-        response=response,
+        response=lambda view, p: behind(view, math.exp(p[0])),
         makes_late=True,
     )
+    both = replace(third, sizes=lambda p, _c, _g: {"time_constant_s": 2.0 * math.exp(p[0])}, form=TWO, response=two)
+    return _in_place_of_each_other(third, both)
 
 
 def _not_settled() -> Effect:
