@@ -97,9 +97,7 @@ def test_autoregressive_noise_in_a_short_record_is_no_effect(seed, plant):
     assert diagnose(Recording.from_csv_text(record.csv())).verdict == "adequate"
 
 
-@pytest.mark.parametrize(
-    ("seed", "experiment"), [(754, "random"), (758, "short"), pytest.param(750, "steps", marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize(("seed", "experiment"), [again(754, "random"), (758, "short"), again(750, "steps")])
 def test_autoregressive_noise_on_a_plant_of_third_order_is_no_effect(seed, experiment):
     """It hides that lag, which the innovations show, and it looks like a load for a while."""
     record = record_of(Case("clean", seed, experiment, "coloured"))

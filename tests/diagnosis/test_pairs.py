@@ -282,7 +282,7 @@ def test_an_error_elsewhere_is_foreseen_where_the_numbers_make_it(output, off, e
     assert is_foreseen(context, right, SIGMA) is expected
 
 
-@pytest.mark.parametrize(("seed", "experiment"), [(735, "short"), (736, "relay")])
+@pytest.mark.parametrize(("seed", "experiment"), [pytest.param(735, "short", marks=pytest.mark.long), (736, "relay")])
 def test_every_curve_of_the_actuator_is_tried_beside_a_load(seed, experiment):
     """The search came to a parabola or a cubic beside the load; the limit, which is there, comes as near."""
     hidden = record_of(Case("saturation:hard + load_step:step", seed, experiment))

@@ -13,7 +13,7 @@ from autotuner.core.diagnosis.effects.disturbance import load_at_the_input
 from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.effects.process.gain_in_time import times_curve
 from autotuner.core.diagnosis.effects.process.stepping import averaged
-from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects, third_lag
+from autotuner.core.diagnosis.effects.process.textbook_forms import further_lags, process_effects
 from autotuner.core.diagnosis.extended.effect import View
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.step_responses import Integrator, Lag, LaggedIntegrator, Pair
@@ -351,11 +351,21 @@ def test_a_zero_on_the_right_side_is_no_inverse_response():
 def test_a_third_lag_is_the_simulators():
     plant = LagChain(PAIR.K, (PAIR.T1, PAIR.T2, 6.0), PAIR.D)
     recording = record(plant, moves())
-    effect = third_lag(dataset_of(recording), at_the_truth(recording, PAIR))
+    effect, _ = further_lags(dataset_of(recording), at_the_truth(recording, PAIR))
     fitted = at_the_truth(recording, PAIR, (effect, (math.log(6.0),)))
     assert left(fitted) < 1e-6
     assert left(at_the_truth(recording, PAIR)) > 0.05
     assert fitted.sizes() == [{"time_constant_s": pytest.approx(6.0)}]
+
+
+def test_a_third_and_a_fourth_lag_are_the_simulators():
+    plant = LagChain(PAIR.K, (PAIR.T1, PAIR.T2, 6.9, 5.1), PAIR.D)  # 15 % on either side of 6 s
+    recording = record(plant, moves())
+    _, effect = further_lags(dataset_of(recording), at_the_truth(recording, PAIR))
+    fitted = at_the_truth(recording, PAIR, (effect, (math.log(6.0),)))
+    assert left(fitted) < 1e-6
+    assert left(at_the_truth(recording, PAIR)) > 0.05
+    assert fitted.sizes() == [{"time_constant_s": pytest.approx(12.0)}]
 
 
 @pytest.mark.parametrize("plant", LINEAR)
