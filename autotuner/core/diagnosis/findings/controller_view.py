@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.effects.process.textbook_forms import TWO_LAGS
 from autotuner.core.effect_plugins import installed_effects
 from autotuner.core.identification.crossover_uncertainty import turn_over_frequency
 from autotuner.core.model.process import (
@@ -59,8 +60,8 @@ LATER = {
 LONGER = {"flow_delay": "longest_over_first", "dead_time_jump": "later_over_first"}
 """Effects under which the dead time is not always the same, and the size that states how much longer it becomes."""
 ZERO, SLOW_MODE, RECYCLE, LAG = "inverse_response", "slow_mode", "recycle", "extra_lag"
-TWO_LAGS, HALF_RULE = "third and fourth", 0.75
-"""Form of two further lags, and the share of their sum that one lag in their place has."""
+HALF_RULE = 0.75
+"""Share of the sum of two equal lags that one lag in their place has; the rest is dead time."""
 SMALL = 0.5
 """Ratio of what a slow mode, or a recycle, adds at crossover to the response of the process, from which the process
 alone is insufficient."""

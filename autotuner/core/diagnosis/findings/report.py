@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
+from autotuner.core.diagnosis.effects.process.textbook_forms import ONE_LAG, TWO_LAGS
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
@@ -72,8 +73,8 @@ ELSEWHERE = 1.5
 """Ratio of the errors on the held-out and the fitted part from which the effect is less certain."""
 LESS_THAN_NOISE = 0.5
 """Root mean square difference of two simulated PVs, in noise sigmas, under which no record distinguishes them."""
-OWN_ORDER = frozenset({"third", "third and fourth"})
-"""Form of a further lag that belongs to the process: named last, after external effects."""
+OWN_ORDER = frozenset({ONE_LAG, TWO_LAGS})
+"""Forms of further lags, which belong to the process: named last, after external effects."""
 UNSURE = 0.5
 """Highest confidence of a hypothesis."""
 NO_GAINS: dict[str, object] = {"before": None, "after": None}

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
 """Initial guesses of limits: below the highest output, in swings, and at quantiles of the response."""
-TWO = "third and fourth"
+ONE_LAG, TWO_LAGS = "third", "third and fourth"
+"""Forms of further lags."""
 UNLIKE = 0.15
 """Difference of each of two further lags from their mean, as a share of it: equal ones have no partial fractions, and
 of unlike ones a record shows little more than the mean."""
@@ -260,11 +261,13 @@ def further_lags(dataset: Dataset, base: Fitted) -> tuple[Effect, Effect]:
         (Searched("log_lag", low, high, 1e-4),),
         [(min(max(math.log(share * whole_s), low), high),) for share in THIRD],
         lambda p, _c, _g: {"time_constant_s": math.exp(p[0])},
-        form="third",
+        form=ONE_LAG,
         response=lambda view, p: behind(view, math.exp(p[0])),
         makes_late=True,
     )
-    both = replace(third, sizes=lambda p, _c, _g: {"time_constant_s": 2.0 * math.exp(p[0])}, form=TWO, response=two)
+    both = replace(
+        third, sizes=lambda p, _c, _g: {"time_constant_s": 2.0 * math.exp(p[0])}, form=TWO_LAGS, response=two
+    )
     return _in_place_of_each_other(third, both)
 
 
