@@ -104,8 +104,8 @@ def _memory_of_the_load(data: Data) -> Memory | None:
     past += [u[first - j + 1 : samples - j + 1] for j in range(1, reach[1] + 1)]
     columns = np.column_stack([*past, np.ones(samples - first)])
     a, b, _ = np.split(np.linalg.lstsq(columns, pv[first:], rcond=None)[0], np.cumsum(reach))
-    answer = scipy.signal.lfilter(b, np.append(1.0, -a), u)
-    left = pv - answer
+    recursion = np.outer(np.append(1.0, -a), np.ones(samples))  # the columns of 1 - A, banded and lower triangular
+    left = pv - scipy.linalg.solve_banded((a.size, 0), recursion, np.convolve(u, b)[:samples])
     if not np.abs(left).max() < RUNS_AWAY * np.ptp(pv):
         return None
     return memory_of(left - left.mean(), np.zeros((samples, 0)), even_runs(data.t, data.weight))

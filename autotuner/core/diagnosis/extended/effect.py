@@ -36,6 +36,8 @@ class Place(StrEnum):
 
 ROW = {Place.ACTUATOR: 0, Place.PROCESS: 5, Place.DISTURBANCE: 7, Place.SENSOR: 8}
 """Places of effects in the row from output to PV."""
+ONE_LAG, TWO_LAGS = "third", "third and fourth"
+"""Forms of further lags of a process with two of its own."""
 
 
 @dataclass(frozen=True, slots=True)

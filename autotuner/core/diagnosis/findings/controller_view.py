@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.process.textbook_forms import TWO_LAGS
+from autotuner.core.diagnosis.extended.effect import TWO_LAGS
 from autotuner.core.effect_plugins import installed_effects
 from autotuner.core.identification.crossover_uncertainty import turn_over_frequency
 from autotuner.core.model.process import (

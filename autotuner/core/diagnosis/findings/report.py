@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
-from autotuner.core.diagnosis.effects.process.textbook_forms import ONE_LAG, TWO_LAGS
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
+from autotuner.core.diagnosis.extended.effect import ONE_LAG, TWO_LAGS
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.intervals import (
     effect_intervals,

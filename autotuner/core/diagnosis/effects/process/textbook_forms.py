@@ -30,7 +30,7 @@ from autotuner.core.diagnosis.effects.process.nonlinear_losses import losses
 from autotuner.core.diagnosis.effects.process.recycle import recycle
 from autotuner.core.diagnosis.effects.process.state_limits import overflowing_stores
 from autotuner.core.diagnosis.effects.process.stepping import stepped, two_speeds
-from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.extended.effect import ONE_LAG, TWO_LAGS, Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
 from autotuner.core.model.zoh_input import unit_step
 
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 BELOW, NEAR_THE_END = (0.3, 0.45, 0.6, 0.75), (0.995, 0.97, 0.9)
 """Initial guesses of limits: below the highest output, in swings, and at quantiles of the response."""
-ONE_LAG, TWO_LAGS = "third", "third and fourth"
-"""Forms of further lags."""
 UNLIKE = 0.15
 """Difference of each of two further lags from their mean, as a share of it: equal ones have no partial fractions, and
 of unlike ones a record shows little more than the mean."""
