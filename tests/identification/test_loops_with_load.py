@@ -51,3 +51,4 @@ def test_loops_with_coloured_load_are_adequate_and_get_the_gains_of_their_proces
     assert sum(low <= 1.5 <= high for low, high in ends) >= 4
     assert all(answer.gains["after"]["margins"]["stable"] for answer in answers)
     assert all(any("unmeasured disturbance" in note for note in answer.notes) for answer in answers)
+    assert all(any("blind to play" in note or "sticking" in note for note in answer.notes) for answer in answers)

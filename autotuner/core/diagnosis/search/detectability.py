@@ -3,8 +3,8 @@
     hidden   |P (simulated with the effect - simulated without)| < h sigma sqrt(N),   P = I - Q Q'
 
 `Q` spans columns and slopes of the model, so that effects that a different process would absorb do not count; `h`
-makes the misfit `VISIBLE` times the noise, up to which a record is called adequate. Limits are hidden beyond the
-range of the record.
+makes the misfit `VISIBLE` times the noise, up to which a record is called adequate. Where the noise has a memory, all
+of it is of predictions, and `sigma` is that of the innovations. Limits are hidden beyond the range of the record.
 """
 
 from __future__ import annotations
@@ -117,15 +117,16 @@ def _hidden(context: FitContext, chosen: Fitted, noise: float, doubts: Sequence[
     rows = context.coarse
     plain = replace(chosen.problem, rows=rows)
     columns, slopes = plain.tangent(chosen.theta)
-    q, _ = solve_linear(np.hstack((columns, slopes)), context.dataset.data.pv[rows])
-    most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(noise, context.dataset.floor)
+    q, _ = solve_linear(np.hstack((columns, slopes)), plain.target)
+    sigma = noise if plain.memory is None else chosen.rms  # noise with a memory hides what its innovations hide
+    most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(sigma, context.dataset.floor)
     spots = []
     for doubt in (d for d in doubts if fits_beside(d.effect, plain.effects)):
         problem = plain.with_effect(doubt.effect)
         largest = None
         for share, values in zip(SHARES, doubt.values, strict=True):
             theta = theta_with(chosen, problem, doubt.effect, values)
-            added = (problem.columns(theta, rows)[0] - columns) @ chosen.linear
+            added = (problem.whitened(problem.columns(theta, problem.computed)[0]) - columns) @ chosen.linear
             added = added - q @ (q.T @ added)
             if math.sqrt(float(added @ added) / rows.size) < most:
                 largest = share, doubt.effect.sizes(values, (), float(chosen.linear[0]))[doubt.size]
