@@ -197,12 +197,13 @@ def _from_scan(
         starts = [[*found, *more[:1]] for found, more in zip(starts, with_state, strict=True)]
     some = replace(problem, rows=rows)
     return [
-        closest_first(f for s in found if is_physical(f := fit(some, _theta_of(some, s), COARSE_STEPS), prior))
+        closest_first(f for s in found if is_physical(f := fit(some, theta_of(some, s), COARSE_STEPS), prior))
         for found, prior in zip(starts, priors, strict=True)
     ]
 
 
-def _theta_of(problem: Extended, start: Start) -> FloatArray:
+def theta_of(problem: Extended, start: Start) -> FloatArray:
+    """Return the numbers of a process without effects at a start."""
     return np.array([*np.log(start.shape), start.delay_s / problem.unit_s])
 
 

@@ -25,14 +25,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.base import is_physical, theta_of
 from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.estimation.disturbed_loop import with_disturbance
 from autotuner.core.estimation.linear_least_squares import residual_after
 from autotuner.core.estimation.noise.ar_noise import Coloured, Memory, even_runs, memory_of
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.model.structures import FOPDT, SECOND_ORDER, log_shape
+from autotuner.core.model.structures import FOPDT, SECOND_ORDER
 from autotuner.core.quantiles import chi2_tail, f_tail
 from autotuner.core.signals.noise import autocorrelation, rms
 
@@ -119,9 +119,9 @@ def beside_a_load(context: FitContext, plain: Fitted, sign: int) -> Fitted | Non
     found = with_disturbance((), (FOPDT, SECOND_ORDER), data, GainPrior(None, sign))
     if found is None or found.solution.problem.data.coloured is None:
         return None
-    memory, start = found.solution.problem.data.coloured.memory, found.solution.start
+    memory = found.solution.problem.data.coloured.memory
     problem = replace(plain.problem, structure=found.structure, memory=memory, rows=rows)
-    fitted = fit(problem, np.array([*log_shape(start.shape), start.delay_s / problem.unit_s]))
+    fitted = fit(problem, theta_of(problem, found.solution.start))
     return fitted if is_physical(fitted) and coloured_noise(context, fitted) is not None else None
 
 
