@@ -69,6 +69,8 @@ class Projection:
         The first gain, when known.
     fixed_delay_s : float, optional
         The dead time when it is not searched.
+    memory_slopes : array of float, shape (N, p), optional
+        Slopes of the residual with the coefficients of its noise, where these are unsure too; without, they are given.
     """
 
     data: Data
@@ -77,6 +79,7 @@ class Projection:
     delay_unit_s: float
     known_gain: float | None = None
     fixed_delay_s: float | None = None
+    memory_slopes: FloatArray | None = None
     _theta: FloatArray | None = None
     _q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     _residual: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -161,6 +164,9 @@ class Projection:
         if self.known_gain is not None:
             target = target - self.known_gain * columns[:, 0]
         target = self.data.balanced(target)
-        self._q, solved = solve_linear(self.data.balanced(columns[:, known:]), target)
+        balanced = self.data.balanced(columns[:, known:])
+        unsure = balanced if self.memory_slopes is None else np.hstack((balanced, self.memory_slopes))
+        self._q, solved = solve_linear(unsure, target)
+        solved = solved[: balanced.shape[1]]
         self._residual = target - self._q @ (self._q.T @ target)
         self._linear = solved if self.known_gain is None else np.concatenate(([self.known_gain], solved))

@@ -135,12 +135,24 @@ class Extended:
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Return columns of all computed samples, or a single one, as they are fitted: their noise white."""
+        noise = self._noise
+        return values if noise is None else self._fitted_of(noise.whitened(values))
+
+    def memory_slopes(self, residual: FloatArray) -> FloatArray:
+        """Return the slopes of the innovations with the memory of the noise, from the residual at computed samples."""
+        noise = self._noise
+        return np.zeros((self.rows.size, 0)) if noise is None else self._fitted_of(noise.past(residual))
+
+    @property
+    def _noise(self) -> Coloured | None:
         if self.memory is None:
-            return values
+            return None
         dataset, rows = self.dataset, self.computed
         counts = (dataset.fitted | dataset.held_out)[rows].astype(float)
-        white = Coloured.of(self.memory, dataset.data.t[rows], counts).whitened(values)
-        result: FloatArray = white[self.rows - rows[0]]
+        return Coloured.of(self.memory, dataset.data.t[rows], counts)
+
+    def _fitted_of(self, values: FloatArray) -> FloatArray:
+        result: FloatArray = values[self.rows - self.rows[0]]
         return result
 
     def columns(self, theta: FloatArray, rows: IntArray) -> tuple[FloatArray, list[int]]:

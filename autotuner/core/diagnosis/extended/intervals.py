@@ -67,7 +67,7 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
     columns, slopes = fitted.problem.tangent(fitted.theta)
     held = fitted.theta.size - slopes.shape[1]
     slopes[:, [k - held for k in held_at]] = 0.0
-    J = np.hstack((slopes, columns))
+    J = _beside_memory(fitted, np.hstack((slopes, columns)))
     scale = np.sqrt(np.einsum("ij,ij->j", J, J))
     live = scale > 0.0
     normal = (J[:, live] / scale[live]).T @ (J[:, live] / scale[live])
@@ -87,6 +87,18 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
     stretch = _stretch(residual, J[:, live] / scale[live], inverse, variance)
     cov[np.ix_(at, at)] = variance * inverse * np.outer(stretch, stretch) / np.outer(scale[live], scale[live])
     return cov
+
+
+def _beside_memory(fitted: Fitted, slopes: FloatArray) -> FloatArray:
+    """Return what slopes have beside those of the noise's memory, which is estimated too: in a loop they are alike."""
+    problem = fitted.problem
+    if problem.memory is None:
+        return slopes
+    rows = problem.computed
+    past = problem.memory_slopes(problem.dataset.data.pv[rows] - fitted.simulated(rows))
+    q, _ = solve_linear(past, slopes[:, 0])
+    result: FloatArray = slopes - q @ (q.T @ slopes)
+    return result
 
 
 def _stretch(residual: FloatArray, slopes: FloatArray, inverse: FloatArray, variance: float) -> FloatArray:

@@ -102,7 +102,20 @@ def full_jacobian(solution: Solution) -> FloatArray:
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
     columns = problem.data.balanced(problem.layout(theta).columns[:, known:])
-    return np.hstack((problem.sensitivities(theta), columns))
+    memory = () if problem.memory_slopes is None else (problem.memory_slopes,)
+    return np.hstack((problem.sensitivities(theta), columns, *memory))
+
+
+def _with_unsure_memory(solution: Solution) -> Solution:
+    """Return a solution whose noise's memory is estimated with the rest, as it was."""
+    problem, theta = solution.problem, solution.theta
+    coloured = problem.data.coloured
+    if coloured is None:
+        return solution
+    past = coloured.past(problem.left(theta) * problem.data.weight) * problem.data.weight[:, None]
+    unsure = replace(problem, memory_slopes=past, _theta=None)
+    residual = unsure.residual(theta)
+    return Solution(unsure, theta, float(residual @ residual))
 
 
 def uncertainty(
@@ -117,6 +130,7 @@ def uncertainty(
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
     gains = problem.linear(theta)[known : problem.structure.gains]
+    solution = _with_unsure_memory(solution)
     x = np.concatenate((theta, gains))
     base = np.array(list(model.parameters().values()))
     slopes = _slopes(lambda other: _parameters_at(solution, other, model), x, base)
@@ -191,6 +205,7 @@ def _as_pair(solution: Solution) -> Solution:
 def _freedom(solution: Solution) -> int:
     problem = solution.problem
     fitted = solution.theta.size + problem.linear(solution.theta).size - (problem.known_gain is not None)
+    fitted += 0 if problem.memory_slopes is None else problem.memory_slopes.shape[1]
     return max(int(np.count_nonzero(problem.data.weight)) - int(fitted), 1)
 
 

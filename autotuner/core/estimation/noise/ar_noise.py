@@ -95,6 +95,14 @@ class Coloured:
                 result[k] = (values[k] - predicted) * (self.memory.left[-1] / self.memory.left[j])
         return result
 
+    def past(self, noise: FloatArray) -> FloatArray:
+        """Return the slopes of the innovations of a noise with the coefficients, shape (N, p): its past samples."""
+        order, starts = self.memory.order, np.zeros(noise.size, dtype=np.intp)
+        for run in self.runs:
+            starts[run] = run.start
+        back = np.arange(noise.size)[:, None] - np.arange(1, order + 1)
+        return np.where(back >= starts[:, None], noise[np.maximum(back, 0)], 0.0)
+
 
 def even_runs(t: FloatArray, weight: FloatArray) -> tuple[slice, ...]:
     """Return the runs of samples that count, in even steps."""
