@@ -45,6 +45,9 @@ LARGE_MOVE = 0.3
 """Share of the largest move from which a move's time counts."""
 WITH_SLOPE, MOSTLY = 0.2, 0.55
 """Correlation of the sizes of residual and slope, and share of the residual, from which sampling times make it."""
+WILDEST = 8.0
+"""Largest residual over the standard deviation that sampling times and noise give it, of any that they make: they are
+bounded, or nearly normal. Wherever it is larger, something else moved the PV while it should have been at rest."""
 IN_PART = 0.35
 """Share of the residual from which sampling times make a part of it that nothing else makes."""
 
@@ -62,14 +65,16 @@ def jitter_seen(context: FitContext, chosen: Fitted) -> tuple[float, float] | No
         return None
     chosen, tau, gain = _by_slope(context, chosen, rest)
     slope = _slope(context, chosen)
-    lasting = autocorrelation(chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2))[IN_RUNS:]
+    scaled = chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2)
+    lasting = autocorrelation(scaled)[IN_RUNS:]
     short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
     with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
     # Lateness of the moves absorbs a part of the evidence in the likelihood; then the slope decides.
     likely = with_slope > WITH_SLOPE if chosen.problem.effects else gain > JITTER_GAIN
     seen = likely and tau * rms(slope) > MOSTLY * chosen.rms and tau < dataset.data.interval_s
     rough = unevenness_of(chosen.residual, slope)[1] > BESIDE_ANY_MODEL
-    return (tau, rest) if short and seen and rough else None
+    tame = np.abs(scaled).max() < WILDEST * rms(scaled)
+    return (tau, rest) if short and seen and rough and tame else None
 
 
 def is_from_sample_to_sample(context: FitContext, chosen: Fitted, spread_s: float, rest: float) -> bool:
