@@ -42,7 +42,12 @@ from autotuner.core.diagnosis.search.joint.friction import (
     with_process_friction,
     with_wave,
 )
-from autotuner.core.diagnosis.search.joint.late_moves import late_instead, with_other_grids, with_uneven_updates
+from autotuner.core.diagnosis.search.joint.late_moves import (
+    late_instead,
+    with_middle_phase,
+    with_other_grids,
+    with_uneven_updates,
+)
 from autotuner.core.diagnosis.search.joint.positions import with_positions
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
@@ -186,7 +191,7 @@ def trace(
     chosen, stepped = with_steps(context, chosen)
     pool += [*tried, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or late_instead(context, base, chosen)
-    alone, chosen = _without_effects(context, base, alone, chosen)
+    alone, chosen = _without_effects(context, base, alone, with_middle_phase(chosen))
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
