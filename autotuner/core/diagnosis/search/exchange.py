@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from autotuner.core.diagnosis.extended.effect import Effect
-    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 FOLLOWED = 5
@@ -38,6 +39,12 @@ def values_of(chosen: Fitted, effect: Effect) -> Sequence[float]:
     """Return the fitted values of one of the effects."""
     _, _, values = chosen.problem.split(chosen.theta)
     return next(p for e, p in zip(chosen.problem.effects, values, strict=True) if e is effect)
+
+
+def first_number(problem: Extended, effect: Effect) -> int:
+    """Return where the numbers of one of the effects begin in `theta`."""
+    before = takewhile(lambda other: other is not effect, problem.effects)
+    return len(problem.structure.shape) + 1 + sum(len(other.searched) for other in before)
 
 
 def exchanged(

@@ -42,18 +42,14 @@ from autotuner.core.diagnosis.search.joint.friction import (
     with_process_friction,
     with_wave,
 )
-from autotuner.core.diagnosis.search.joint.late_moves import (
-    late_instead,
-    with_middle_phase,
-    with_other_grids,
-    with_uneven_updates,
-)
+from autotuner.core.diagnosis.search.joint.late_moves import late_instead, with_other_grids, with_uneven_updates
 from autotuner.core.diagnosis.search.joint.positions import with_positions
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
     noise_of,
 )
+from autotuner.core.diagnosis.search.left_open import most_likely
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.search import (
     at_the_input,
@@ -191,7 +187,7 @@ def trace(
     chosen, stepped = with_steps(context, chosen)
     pool += [*tried, *(stepped or _steps_instead(context, chosen, pool))]
     pool += late or late_instead(context, base, chosen)
-    alone, chosen = _without_effects(context, base, alone, with_middle_phase(chosen))
+    alone, chosen = _without_effects(context, base, alone, most_likely(chosen))
     closest = closest_first([*pool, base.best])[0]
     notes = of_columns(context, base.best, known.tried, chosen)
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))

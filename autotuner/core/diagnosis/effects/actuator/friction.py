@@ -53,13 +53,13 @@ PLAYS = (0.02, 0.05, 0.1, 0.18, 0.3, 0.5)
 BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
 ALL = 1.0
 """Largest band where the valve is seen to stick: in a slow loop it slips once in a record."""
-LEFT = (0.0, 0.5)
+LEFT, LITTLE = (0.0, 0.5), 0.1
 LARGEST_LEFT = 0.9
 """Most of a band that may be left."""
 TURNING = "turning"
 """Form of stiction that slips where the output turns."""
-MOST_CHANGES = 400
-"""Changes of the output up to which bands are tried between all its distinct moves."""
+MOST_CHANGES, MOST_MOVES, MOST_BANDS = 400, 40, 14
+"""Changes and distinct moves of the output up to which bands are tried between them, and how many."""
 
 
 def friction_effects(dataset: Dataset) -> tuple[Effect, ...]:
@@ -67,10 +67,11 @@ def friction_effects(dataset: Dataset) -> tuple[Effect, ...]:
     swing = dataset.swing
     least = SMALLEST_IN_LOOP if dataset.in_loop else SMALLEST
     bands = [*_bands(dataset), *(travel / swing for travel in waiting_of(dataset).travels)]
+    starts = [*product(bands, LEFT), *((move, LITTLE) for move in _some(_moves(dataset)))]
     return (
         play(dataset, least, PLAYS),
         _play_with(dataset, least, "seated", Searched("seat", -0.5, 0.5, 1e-3), 0.4),
-        sticking(dataset, least, list(product(bands, LEFT))),
+        sticking(dataset, least, starts),
         _play_with(dataset, least, "uneven", Searched("tilt", -1.5, 1.5, 1e-3), 0.5),
         *((_slipping(dataset, least),) if dataset.tuned else ()),
         *((_turning(dataset),) if dataset.in_loop or waiting_of(dataset).sticks else ()),
@@ -167,18 +168,27 @@ def _turning(dataset: Dataset) -> Effect:
 
 def _bands(dataset: Dataset) -> list[float]:
     """Return bands between the distinct moves of the output, in swings; a fixed row where it has too many."""
-    steps = np.abs(np.diff(dataset.data.held.levels))
-    if steps.size > MOST_CHANGES or steps.size < 2:
-        return list(BANDS)
-    levels = np.unique(np.round(dataset.data.held.levels / dataset.swing, 3))
-    apart = np.unique(np.round(np.abs(levels[:, None] - levels[None, :]), 3))
+    moves = _moves(dataset)
+    return _some((moves + np.append(SMALLEST, moves[:-1])) / 2.0) if moves.size else list(BANDS)
+
+
+def _some(values: FloatArray) -> list[float]:
+    picked: list[float] = values[np.linspace(0, values.size - 1, min(MOST_BANDS, values.size)).astype(int)].tolist()
+    return picked
+
+
+def _moves(dataset: Dataset) -> FloatArray:
+    """Return the distinct moves of the output, in swings; none where there are too many.
+
+    A band as wide as one lets it pass in the direction of the move before, and not in the other one.
+    """
+    levels = dataset.data.held.levels
+    if not 2 < levels.size <= MOST_CHANGES + 1:
+        return np.zeros(0)
+    distinct = np.unique(np.round(levels / dataset.swing, 3))
+    apart: FloatArray = np.unique(np.round(np.abs(distinct[:, None] - distinct[None, :]), 3))
     apart = apart[(apart > SMALLEST) & (apart < LARGEST)]
-    if not apart.size or apart.size > 40:
-        return list(BANDS)
-    edges = np.concatenate(([SMALLEST], apart))
-    middles = (edges[1:] + edges[:-1]) / 2.0
-    picked = np.linspace(0, middles.size - 1, min(14, middles.size)).astype(int)
-    return [float(band) for band in middles[picked]]
+    return apart[: apart.size if apart.size <= MOST_MOVES else 0]
 
 
 def backlash(held: HeldInput, width: float, seat: float = 0.0, tilt: float = 0.0) -> HeldInput:
@@ -232,6 +242,14 @@ def stiction(held: HeldInput, band: float, left: float) -> HeldInput:
             x = level + left
         positions.append(x)
     return HeldInput(held.times, np.array(positions))
+
+
+def bands_alike(held: HeldInput, band: float, left: float) -> tuple[float, float]:
+    """Return the least and the largest band, output units, at which a valve slips as it does at this one."""
+    positions = stiction(held, band, left).levels
+    off = np.abs(held.levels[1:] - positions[:-1])
+    slips = positions[1:] != positions[:-1]
+    return float(off[~slips].max(initial=left)), float(off[slips].min(initial=np.inf))
 
 
 def slipped(held: HeldInput, band: float, jump: float) -> HeldInput:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import product, takewhile
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grid
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
 from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
-from autotuner.core.diagnosis.search.exchange import exchanged, values_of
+from autotuner.core.diagnosis.search.exchange import exchanged, first_number, values_of
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.diagnosis.extended.base import Base
-    from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
 
 UNEVEN, WORSE = 0.6, 1.25
@@ -61,8 +61,6 @@ steps of the phase in periods, with how many of them to either side. With many m
 each small step."""
 FOLLOWED = 2
 """Forms of even times that are followed to finer periods."""
-UPDATES, AS_WELL = "actuator_hold", 1e-4
-"""Effect whose phase only its moves show, and the relative rise of the misfit that is none."""
 FLOW, PAIR = "flow_delay", 2
 """Effect that delays of every move may replace, and the fewest moves for which it is tried."""
 
@@ -147,29 +145,6 @@ def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitte
     return [c for c in grids if is_physical(c)]
 
 
-def with_middle_phase(chosen: Fitted) -> Fitted:
-    """Return updates at even times in the middle of the phases at which each move finds the same update as now.
-
-    The dead time makes up for the phase, so that all of these explain the record alike; at which of them the updates
-    are shows a later move only that falls between them.
-    """
-    problem, dead_time = chosen.problem, len(chosen.problem.structure.shape)
-    if [e.key for e in problem.effects if e.position is not None] != [UPDATES]:
-        return chosen
-    updates = next(e for e in problem.effects if e.key == UPDATES)
-    (log_period, phase), held = values_of(chosen, updates), problem.dataset.data.held
-    period, delay_s = math.exp(log_period), problem.split(chosen.theta)[1]
-    since = (held.times[1:] - held.times[0]) / period
-    ahead = since - np.ceil(since - phase)
-    latest = min(float(ahead.min()) + 1.0, phase + delay_s / period)
-    later = (float(ahead.max()) + latest) / 2.0 - phase
-    theta = chosen.theta.copy()
-    theta[dead_time] -= later * period / problem.unit_s
-    theta[_clock_in(problem) + 1] += later
-    middle = fit(problem, theta, 0)
-    return middle if middle.misfit < chosen.misfit * (1.0 + AS_WELL) else chosen
-
-
 def _in_clocked_forms(held: Fitted) -> list[Fitted]:
     """Return an explanation by even times in each form of them, with the numbers that were found."""
     clocked = next(e for e in held.problem.effects if e.clocked)
@@ -191,7 +166,7 @@ def _on_grids(
 ) -> list[Fitted]:
     """Return an explanation by even times with periods about parts of its own, and all moves as late in the mean."""
     problem, dead_time = replace(held.problem, rows=context.screen), len(held.problem.structure.shape)
-    at = _clock_in(problem)
+    at = first_number(problem, next(e for e in problem.effects if e.clocked))
     period, phase = math.exp(held.theta[at]), float(held.theta[at + 1])
     tried = []
     for part, longer, later in product(parts, _about(*periods), _about(*phases)):
@@ -201,12 +176,6 @@ def _on_grids(
         theta[dead_time] += ((period - other) / 2.0 - later * other) / problem.unit_s
         tried.append(theta)
     return [fit(problem, theta, 0) for theta in tried if theta[dead_time] >= 0.0]
-
-
-def _clock_in(problem: Extended) -> int:
-    """Return where the numbers of even times are in `theta`: the period, then the phase."""
-    before = takewhile(lambda e: not e.clocked, problem.effects)
-    return len(problem.structure.shape) + 1 + sum(len(e.searched) for e in before)
 
 
 def _about(step: float, each_way: int) -> list[float]:
