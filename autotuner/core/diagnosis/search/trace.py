@@ -52,6 +52,7 @@ from autotuner.core.diagnosis.search.judge import (
 from autotuner.core.diagnosis.search.left_open import most_likely
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.search import (
+    AS_NEAR,
     at_the_input,
     best_on_both_parts,
     better_of,
@@ -326,7 +327,8 @@ def _with_free_curve(
 ) -> tuple[Fitted, list[Fitted]]:
     """Return an actuator with its own curve, or a soft limit, as explanation where no textbook effect explains it.
 
-    One more effect is searched too, because a wrong curve hides it.
+    One more effect is searched too, because a wrong curve hides it. A curve of many knots follows the fitted part more
+    closely than the right effect: it has to come as near on both parts.
     """
     alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(context, best)
     if alone or context.dataset.in_loop or context.dataset.budget.spent or base.held is not None:
@@ -342,7 +344,8 @@ def _with_free_curve(
     if first.rms > NOTHING_LEFT * noise_of(context, first):
         beside = extend(context, [first], catalogue(first, context.coarse, declared))
         accepted += [c for c in beside if is_accepted(context, base, first, c)]
-    return context.best([best, *accepted]), [*curves, *beside]
+    near = [c for c in accepted if context.on_both_parts(c) < AS_NEAR * context.on_both_parts(best)]
+    return context.best([best, *near]), [*curves, *beside]
 
 
 def _from_its_process(context: FitContext, best: Fitted, declared: ProcessModel | None) -> Fitted:
