@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from autotuner.core.diagnosis.effects.actuator.characteristics import characteristics
 from autotuner.core.diagnosis.effects.actuator.friction import (
     backlash,
+    bands_alike,
     friction_effects,
     slipped,
     stiction,
@@ -152,6 +153,18 @@ def test_a_soft_limit_of_the_rate_is_that_of_a_general_solver(rate, lag_s):
     exact = scipy.integrate.solve_ivp(f, (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=0.01, rtol=1e-8).y[1]
     behind_it = Lag(3.0).forced(softly_positioned(held(u), rate, lag_s), t)[0][0]
     assert behind_it == pytest.approx(exact, abs=0.003 * np.ptp(u))
+
+
+@QUICK
+@given(levels, st.floats(0.05, 30.0), st.floats(0.0, 1.0))
+def test_a_valve_slips_alike_with_all_bands_between_two_limits(u, band, share):
+    command, left = held(u), share * band
+    low, high = bands_alike(command, band, left)
+    as_it_is = stiction(command, band, left).levels
+    for alike in (low, band, low + 0.999 * (min(high, 1e3) - low)):
+        assert np.array_equal(stiction(command, alike, left).levels, as_it_is)
+    if high < np.inf:
+        assert not np.array_equal(stiction(command, high, left).levels, as_it_is)
 
 
 @QUICK

@@ -52,6 +52,21 @@ def bounds(plant, names, sigma, memory):
     return sigma * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))[1:]
 
 
+def test_past_samples_are_minus_the_slopes_with_the_coefficients():
+    noise, runs = np.random.default_rng(5).standard_normal(40), (slice(0, 15), slice(15, 40))
+    before = tuple(np.zeros(j) for j in range(3))
+
+    def innovations(a):
+        return Coloured(Memory((*before, np.array(a)), (1.0,) * 4), runs).whitened(noise)
+
+    a, step = np.array([0.6, -0.3, 0.1]), 1e-6
+    slopes = [(innovations(a + step * one) - innovations(a)) / step for one in np.eye(3)]
+    past = Coloured(Memory((*before, a), (1.0,) * 4), runs).past(noise)
+    fully = np.r_[3:15, 18:40]  # the first of a run have predictors of their own
+    assert past[fully] == pytest.approx(-np.transpose(slopes)[fully], abs=1e-8)
+    assert np.all(past[[0, 15]] == 0.0)
+
+
 def test_whitened_noise_has_the_covariance_of_white_noise():
     """Of an autoregression of second order, whose autocovariances are known in closed form."""
     a, b, n = 1.2, -0.5, 12

@@ -96,7 +96,7 @@ class Coloured:
         return result
 
     def past(self, noise: FloatArray) -> FloatArray:
-        """Return the slopes of the innovations of a noise with the coefficients, shape (N, p): its past samples."""
+        """Return the `p` samples of a noise before each, 0 before a run: minus the slopes of `w` with `a`, shape (N, p)."""
         order, starts = self.memory.order, np.zeros(noise.size, dtype=np.intp)
         for run in self.runs:
             starts[run] = run.start
