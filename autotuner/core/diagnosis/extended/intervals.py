@@ -4,6 +4,7 @@
     W     12/width^2 for searched values within bounds of that width: a move merged with another one shows no time
     s^2   the larger mean square of the fitted and of the held-out part
     var f = (df)' cov (df)                                               (delta method)
+    J     without its part along the slopes of the innovations with the memory of the noise, which is estimated too
     cov   at least (J'J)^-1 J' V J (J'J)^-1 per number, `V` of noise with a slow part: a model of lower order leaves a
           small slow part of the residual, which hides in the noise of its autocorrelation (see `slow_part`)
 
