@@ -7,9 +7,10 @@
 then propagated to the model's parameters by their derivatives. `J` has the derivatives of the simulated PV to ALL
 parameters, so the errors include those of offset and initial state, and beside autoregressive noise those of its
 coefficients: in closed loop, where the output answers to the noise, they are not orthogonal to the process. (Seber and
-Wild, Nonlinear Regression, 2003, ch. 5; Ljung, System Identification, 1999, ch. 9.3.) A positive parameter p with relative error r has the interval `p e^{-q r} .. p e^{q r}`, `q` Student's 97.5 %
-quantile: it never reaches zero, and for small r it is the usual one. Where the sum of squares is not a paraboloid
-within the interval, the profile likelihood replaces it (`profile_likelihood`).
+Wild, Nonlinear Regression, 2003, ch. 5; Ljung, System Identification, 1999, ch. 9.3.) A positive parameter p with
+relative error r has the interval `p e^{-q r} .. p e^{q r}`, `q` Student's 97.5 % quantile: it never reaches zero, and
+for small r it is the usual one. Where the sum of squares is not a paraboloid within the interval, the profile
+likelihood replaces it (`profile_likelihood`).
 
 Two time constants that a recording can hardly distinguish.
 

@@ -96,7 +96,7 @@ class Coloured:
         return result
 
     def past(self, noise: FloatArray) -> FloatArray:
-        """Return the `p` samples of a noise before each, 0 before a run: minus the slopes of `w` with `a`, shape (N, p)."""
+        """Return the `p` samples before each, 0 before a run, shape (N, p): minus the slopes of `w` with `a`."""
         order, starts = self.memory.order, np.zeros(noise.size, dtype=np.intp)
         for run in self.runs:
             starts[run] = run.start
