@@ -16,6 +16,7 @@ from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import is_noise_instead
+from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.search.acceptance import (
     dropped_back,
@@ -328,7 +329,7 @@ def _with_free_curve(
     """Return an actuator with its own curve, or a soft limit, as explanation where no textbook effect explains it.
 
     One more effect is searched too, because a wrong curve hides it. A curve of many knots follows the fitted part more
-    closely than the right effect: it has to come as near on both parts.
+    closely than the right effect of the actuator: it has to come as near on both parts.
     """
     alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(context, best)
     if alone or context.dataset.in_loop or context.dataset.budget.spent or base.held is not None:
@@ -344,8 +345,10 @@ def _with_free_curve(
     if first.rms > NOTHING_LEFT * noise_of(context, first):
         beside = extend(context, [first], catalogue(first, context.coarse, declared))
         accepted += [c for c in beside if is_accepted(context, base, first, c)]
-    near = [c for c in accepted if context.on_both_parts(c) < AS_NEAR * context.on_both_parts(best)]
-    return context.best([best, *near]), [*curves, *beside]
+    if any(effect.place is Place.ACTUATOR for effect in best.problem.effects):
+        most = AS_NEAR * context.on_both_parts(best)
+        accepted = [c for c in accepted if context.on_both_parts(c) < most]
+    return context.best([best, *accepted]), [*curves, *beside]
 
 
 def _from_its_process(context: FitContext, best: Fitted, declared: ProcessModel | None) -> Fitted:
