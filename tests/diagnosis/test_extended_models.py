@@ -12,6 +12,7 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator.levels import step_grids
 from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
     origin_of,
@@ -23,6 +24,7 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisatio
 from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, one_later, spread_of, update_grids
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects
+from autotuner.core.diagnosis.extended.base import base_of, is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import fit, linearised, without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thinned
@@ -32,6 +34,7 @@ from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
 from autotuner.core.diagnosis.findings.sensor_effects import fitted_to_intervals
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.sensor import Grid
+from autotuner.core.diagnosis.search.search import sketched
 from autotuner.core.recording import Recording
 from autotuner_sim import ActuatorHold, Fopdt, LoadStep, OutputQuantisation, Saturation
 from tests.diagnosis.simulated import (
@@ -504,3 +507,17 @@ def test_a_column_acts_on_the_position_that_an_actuator_left():
     ours, theirs = fitted.problem.columns(fitted.theta, rows)[0], exact.columns(fitted.theta[:2], rows)[0]
     assert ours == pytest.approx(theirs, abs=2e-3)  # time is cut at other moves
     assert OUTPUT0 + float(fitted.problem.view(fitted.theta, rows).position.levels.max()) == pytest.approx(44.0)
+
+
+def test_a_model_that_does_not_answer_to_the_output_has_sizes_and_is_none():
+    """Sizes over the gain have no value then; a search comes to such models, and passes them over."""
+    context = bench_of(dataset_of(noisy(record(LAG, moves()), 0.02)))
+    origins = base_of(context, ("offset",), 0).origins
+    silent = [
+        replace(c, linear=np.concatenate(([0.0], c.linear[1:])))
+        for effect in catalogue(origins[0], context.coarse)
+        for c in sketched(context, origins[:1], [effect])[:1]
+    ]
+    assert len(silent) > 30
+    assert all(len(c.sizes()) == len(c.names) for c in silent)
+    assert not any(is_physical(c) for c in silent)

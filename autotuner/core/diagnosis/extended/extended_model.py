@@ -39,6 +39,8 @@ SHORTEST, LONGEST = 0.05, 30.0
 DAMPING_START, DAMPING_UP, DAMPING_DOWN = 1e-3, 10.0, 0.2
 ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
 """Relative fall of the misfit at which the search ends; and where it is only compared with others."""
+NO_GAIN = 1e-100
+"""Gain in place of 0, PV per output: sizes over it, or over its third power, are endless, but are numbers."""
 SAME_MISFIT = 1e-6
 """Relative difference of two misfits that counts as zero: far more than rounding, which depends on the
 processor, and far less than the difference between explanations."""
@@ -377,7 +379,7 @@ def sizes_at(problem: Extended, theta: FloatArray, linear: FloatArray, counts: S
     """Return the reported sizes of the effects at any `theta` and `linear`."""
     _, _, values = problem.split(theta)
     at = problem.structure.gains
-    gain = float(linear[0])
+    gain = float(linear[0]) or NO_GAIN
     sizes = []
     for effect, p, count in zip(problem.effects, values, counts, strict=True):
         sizes.append(dict(effect.sizes(p, linear[at : at + count].tolist(), gain)))
