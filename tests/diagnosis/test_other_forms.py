@@ -78,7 +78,7 @@ def test_a_curve_of_many_knots_gives_way_to_steps_that_foresee_other_levels():
 
 
 def test_pulses_that_a_loop_answers_are_no_uneven_sampling():
-    """Nearly all samples are nearer than the sampling times of the answer would leave them, and one is far off."""
+    """One residual is nine times the deviation that sampling times and noise would give it."""
     hidden = record_of(Case("time_proportioning:carrier", 794, "loop"))
     answer = diagnose(Recording.from_csv_text(hidden.csv()))
     assert "timing_jitter" not in {e.name for e in answer.effects}

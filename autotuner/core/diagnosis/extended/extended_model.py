@@ -137,23 +137,20 @@ class Extended:
 
     def whitened(self, values: FloatArray) -> FloatArray:
         """Return columns of all computed samples, or a single one, as they are fitted: their noise white."""
-        noise = self._noise
-        return values if noise is None else self._fitted_of(noise.whitened(values))
-
-    def memory_slopes(self, residual: FloatArray) -> FloatArray:
-        """Return the slopes of the innovations with the memory of the noise, from the residual at computed samples."""
-        noise = self._noise
-        return np.zeros((self.rows.size, 0)) if noise is None else self._fitted_of(noise.past(residual))
+        noise = self.noise
+        return values if noise is None else self.of_fitted(noise.whitened(values))
 
     @property
-    def _noise(self) -> Coloured | None:
+    def noise(self) -> Coloured | None:
+        """The noise with a memory, at the computed samples; None where it is white."""
         if self.memory is None:
             return None
         dataset, rows = self.dataset, self.computed
         counts = (dataset.fitted | dataset.held_out)[rows].astype(float)
         return Coloured.of(self.memory, dataset.data.t[rows], counts)
 
-    def _fitted_of(self, values: FloatArray) -> FloatArray:
+    def of_fitted(self, values: FloatArray) -> FloatArray:
+        """Return of values at all computed samples those at the fitted ones."""
         result: FloatArray = values[self.rows - self.rows[0]]
         return result
 

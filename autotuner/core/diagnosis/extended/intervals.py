@@ -92,11 +92,11 @@ def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ())
 
 def _beside_memory(fitted: Fitted, slopes: FloatArray) -> FloatArray:
     """Return what slopes have beside those of the noise's memory, which is estimated too: in a loop they are alike."""
-    problem = fitted.problem
-    if problem.memory is None:
+    problem, noise = fitted.problem, fitted.problem.noise
+    if noise is None:
         return slopes
     rows = problem.computed
-    past = problem.memory_slopes(problem.dataset.data.pv[rows] - fitted.simulated(rows))
+    past = problem.of_fitted(noise.past(problem.dataset.data.pv[rows] - fitted.simulated(rows)))
     q, _ = solve_linear(past, slopes[:, 0])
     result: FloatArray = slopes - q @ (q.T @ slopes)
     return result

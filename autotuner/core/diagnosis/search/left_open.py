@@ -30,7 +30,7 @@ OF_BANDS = 1.0 / 3.0
 
 
 def most_likely(chosen: Fitted) -> Fitted:
-    """Return an explanation with the number of its only actuator effect that is most likely where the record ends."""
+    """Return an explanation with what the record leaves open of its only actuator effect at the most likely value."""
     actuator = [e for e in chosen.problem.effects if e.position is not None]
     likely = LIKELY.get(actuator[0].key) if len(actuator) == 1 else None
     if likely is None:

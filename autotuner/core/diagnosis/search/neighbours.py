@@ -24,7 +24,7 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
-from autotuner.core.diagnosis.search.exchange import in_another_form
+from autotuner.core.diagnosis.search.exchange import first_number, in_another_form
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, within
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
@@ -129,8 +129,6 @@ def _with_next_terms(context: FitContext, chosen: Fitted) -> Iterator[Fitted]:
 def _with(chosen: Fitted, effect: Effect, richer: Effect) -> tuple[Extended, FloatArray]:
     """Return the problem with an effect that has searched numbers more at its end, and where its search starts."""
     effects = tuple(richer if e is effect else e for e in chosen.problem.effects)
-    at = len(chosen.problem.structure.shape) + 1
-    ends = np.cumsum([at, *(len(e.searched) for e in chosen.problem.effects)])
-    end = ends[chosen.problem.effects.index(effect) + 1]
+    end = first_number(chosen.problem, effect) + len(effect.searched)
     more = len(richer.searched) - len(effect.searched)
     return replace(chosen.problem, effects=effects), np.insert(chosen.theta, [end] * more, 0.0)

@@ -65,7 +65,7 @@ def jitter_seen(context: FitContext, chosen: Fitted) -> tuple[float, float] | No
         return None
     chosen, tau, gain = _by_slope(context, chosen, rest)
     slope = _slope(context, chosen)
-    scaled = chosen.residual / np.sqrt(rest**2 + (tau * slope) ** 2)
+    scaled = _scaled(context, chosen, tau, rest)
     lasting = autocorrelation(scaled)[IN_RUNS:]
     short = np.abs(lasting).max(initial=0.0) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(rows.size))
     with_slope = float(np.corrcoef(np.abs(chosen.residual), np.abs(slope))[0, 1])
@@ -79,7 +79,7 @@ def jitter_seen(context: FitContext, chosen: Fitted) -> tuple[float, float] | No
 
 def is_from_sample_to_sample(context: FitContext, chosen: Fitted, spread_s: float, rest: float) -> bool:
     """Return whether each sample is late by itself: several that are late together may be another effect's, too."""
-    scaled = chosen.residual / np.hypot(rest, spread_s * _slope(context, chosen))
+    scaled = _scaled(context, chosen, spread_s, rest)
     return float(autocorrelation(scaled)[0]) < max(FORGOTTEN, SIGNIFICANT / math.sqrt(scaled.size))
 
 
@@ -88,6 +88,12 @@ def sampled_unevenly(context: FitContext, alone: Fitted) -> bool:
     slope = _slope(context, alone)
     tau, gain = unevenness_of(alone.residual, slope)
     return gain > JITTER_GAIN and IN_PART * alone.rms < tau * rms(slope) and tau < context.dataset.data.interval_s
+
+
+def _scaled(context: FitContext, chosen: Fitted, spread_s: float, rest: float) -> FloatArray:
+    """Return the residual over the standard deviation that sampling times and noise give it."""
+    result: FloatArray = chosen.residual / np.hypot(rest, spread_s * _slope(context, chosen))
+    return result
 
 
 def _slope(context: FitContext, chosen: Fitted) -> FloatArray:

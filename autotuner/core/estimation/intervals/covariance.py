@@ -132,7 +132,7 @@ def uncertainty(
     problem, theta = solution.problem, solution.theta
     known = 0 if problem.known_gain is None else 1
     gains = problem.linear(theta)[known : problem.structure.gains]
-    solution = _with_unsure_memory(solution)
+    solution = _with_unsure_memory(solution)  # after the gains: these are the model's, whose memory was given
     x = np.concatenate((theta, gains))
     base = np.array(list(model.parameters().values()))
     slopes = _slopes(lambda other: _parameters_at(solution, other, model), x, base)

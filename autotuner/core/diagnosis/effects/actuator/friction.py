@@ -54,6 +54,8 @@ BANDS = (0.02, 0.04, 0.07, 0.1, 0.14, 0.19, 0.25, 0.33, 0.42, 0.55)
 ALL = 1.0
 """Largest band where the valve is seen to stick: in a slow loop it slips once in a record."""
 LEFT, LITTLE = (0.0, 0.5), 0.1
+"""Shares of a band that are left after a slip, to start from; the last one with a band as wide as a move of the output,
+which then slips in the direction of the move before, and sticks in the other one."""
 LARGEST_LEFT = 0.9
 """Most of a band that may be left."""
 TURNING = "turning"
@@ -173,15 +175,13 @@ def _bands(dataset: Dataset) -> list[float]:
 
 
 def _some(values: FloatArray) -> list[float]:
+    """Return evenly picked ones of many values."""
     picked: list[float] = values[np.linspace(0, values.size - 1, min(MOST_BANDS, values.size)).astype(int)].tolist()
     return picked
 
 
 def _moves(dataset: Dataset) -> FloatArray:
-    """Return the distinct moves of the output, in swings; none where there are too many.
-
-    A band as wide as one lets it pass in the direction of the move before, and not in the other one.
-    """
+    """Return the distinct moves of the output, in swings; none where there are too many."""
     levels = dataset.data.held.levels
     if not 2 < levels.size <= MOST_CHANGES + 1:
         return np.zeros(0)
