@@ -16,6 +16,7 @@ from autotuner.core.diagnosis.effects.free_forms import _splines, _turns, free_f
 from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time, times_curve
 from autotuner.core.diagnosis.effects.waves import lines_of_all, spectral_lines, wave_at_the_input
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.recording import Recording
@@ -403,7 +404,7 @@ def test_a_line_that_one_residual_alone_shows_is_tried_too():
 def likeliest_jump(recording):
     """Return the sample from which a step of the reading lowers a plain least squares most, and ours."""
     base = at_the_truth(recording, LAG)
-    columns, slopes = base.problem.tangent(base.theta)
+    columns, slopes = tangent(base.problem, base.theta)
     rows = np.flatnonzero(base.problem.dataset.fitted)
     pv = base.problem.dataset.data.pv[rows]
 

@@ -26,14 +26,16 @@ from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects
 from autotuner.core.diagnosis.extended.base import base_of, is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
-from autotuner.core.diagnosis.extended.extended_model import fit, linearised, without_rounding
+from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thinned
+from autotuner.core.diagnosis.extended.fitting import fit, linearised, tangent
 from autotuner.core.diagnosis.extended.intervals import covariance, effect_intervals, process_covariance, whole_gain
 from autotuner.core.diagnosis.extended.repair import without_gaps
 from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
 from autotuner.core.diagnosis.findings.sensor_effects import fitted_to_intervals
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.sensor import Grid
+from autotuner.core.diagnosis.search.screen import KEPT, Span, screened, tangent_of
 from autotuner.core.diagnosis.search.search import sketched
 from autotuner.core.recording import Recording
 from autotuner_sim import ActuatorHold, Fopdt, LoadStep, OutputQuantisation, Saturation
@@ -90,7 +92,7 @@ def test_slopes_are_differences_of_the_simulation(plant):
     """With no arrival at a sample, where the response of a lag has two slopes."""
     plant = replace(plant, D=plant.D + 0.3)
     fitted = at_the_truth(record(plant, moves()), plant)
-    columns, slopes = fitted.problem.tangent(fitted.theta)
+    columns, slopes = tangent(fitted.problem, fitted.theta)
     rows = fitted.problem.rows
     for k in range(fitted.theta.size):
         by = 1e-5 * np.eye(fitted.theta.size)[k]
@@ -122,12 +124,38 @@ def test_a_score_along_the_tangent_is_that_of_a_plain_least_squares():
     fitted = at_the_truth(recording, PAIR)
     theta = fitted.theta + np.array([0.05, 0.1, -0.2])
     moved = fit(fitted.problem, theta, 0)
-    columns, slopes = fitted.problem.tangent(theta)
+    columns, slopes = tangent(fitted.problem, theta)
     both = np.hstack((columns, slopes))
     pv = fitted.problem.dataset.data.pv
     best = pv - both @ np.linalg.lstsq(both, pv, rcond=None)[0]
     assert linearised(fitted.problem, theta) == pytest.approx(float(best @ best) / pv.size)
     assert linearised(fitted.problem, theta) < moved.mean_square
+
+
+@pytest.mark.parametrize("key", ["saturation:high", "dead_time_jump", "nonlinear_loss", "load_step"])
+def test_scores_of_all_starts_are_those_of_a_plain_least_squares_each(key):
+    context = bench_of(dataset_of(noisy(record(PAIR, moves(), actuators=[Saturation(0.0, 44.0)]), 0.1)))
+    base = at_the_truth(noisy(record(PAIR, moves()), 0.1), PAIR, dataset=context.dataset)
+    effect = of_form(catalogue(base, context.coarse), key)
+    starts, _ = screened(context, [tangent_of(context, base)], effect)
+    _, slopes = tangent(replace(base.problem, rows=context.screen), base.theta)
+    answer = base.problem.columns(base.theta, context.screen)[0][:, :1]
+    pv = context.dataset.data.pv[context.screen]
+    assert len(starts) == KEPT
+    for start in starts:
+        columns = np.hstack((start.problem.columns(start.theta, context.screen)[0], slopes, answer))
+        best = np.mean((pv - columns @ np.linalg.lstsq(columns, pv, rcond=1e-12)[0]) ** 2)
+        assert start.at_any_strength == pytest.approx(best)
+
+
+def test_a_column_that_depends_on_others_does_not_count():
+    random = np.random.default_rng(4)
+    pv, shared, first, second = random.normal(size=(4, 50))
+    span = Span.of(np.column_stack((shared, np.ones(50))), pv)
+    columns = np.array([[first, second], [first, first + 3.0 * shared], [2.0 * shared - 1.0, 0.0 * shared]])
+    plain = [(shared, np.ones(50), *of) for of in ((first, second), (first,), ())]
+    left = [np.mean((pv - A @ np.linalg.lstsq(A, pv, rcond=None)[0]) ** 2) for A in map(np.column_stack, plain)]
+    assert span.mean_squares(columns) == pytest.approx(left)
 
 
 @settings(max_examples=60)

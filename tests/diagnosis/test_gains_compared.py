@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from autotuner import Recording
 from autotuner.core.design.gains import PidGains
-from autotuner.core.diagnosis.extended.extended_model import Extended, fit
+from autotuner.core.diagnosis.extended.extended_model import Extended
 from autotuner.core.diagnosis.extended.fit_context import bench_of, thinned
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.findings.gain_comparison import (
     NOMINAL,
     Design,

@@ -13,8 +13,8 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_ef
 from autotuner.core.diagnosis.effects.declared import lagged
 from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time
 from autotuner.core.diagnosis.effects.process.nonlinear_losses import losses
-from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.extended.fitting import fit, tangent
 from autotuner.core.diagnosis.extended.intervals import averaged, effect_intervals, process_covariance
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.neighbours import neighbours
@@ -69,7 +69,7 @@ def test_the_gain_is_held_beside_a_slow_part_of_the_noise_and_no_wider_without(s
         context, found = refitted(measured(u, pv + memory, 0.1, seed), PAIR)
         half = half_width(context, found)
         missed += abs(found.process().K - PAIR.K) > half
-        columns, slopes = found.problem.tangent(found.theta)
+        columns, slopes = tangent(found.problem, found.theta)
         J = np.hstack((slopes, columns))
         white = found.rms * math.sqrt(np.linalg.inv(J.T @ J)[slopes.shape[1], slopes.shape[1]])
         wider.append(half / (1.96 * white))

@@ -11,8 +11,9 @@ import pytest
 
 from autotuner import diagnose
 from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, uneven_updates
-from autotuner.core.diagnosis.extended.extended_model import Extended, fit
+from autotuner.core.diagnosis.extended.extended_model import Extended
 from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.uneven_sampling import jittered_moves
 from autotuner.core.model.structures import FOPDT

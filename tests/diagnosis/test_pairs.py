@@ -14,8 +14,9 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import actuator_ef
 from autotuner.core.diagnosis.effects.disturbance import disturbance_effects
 from autotuner.core.diagnosis.effects.free_forms import free_forms
 from autotuner.core.diagnosis.effects.process.textbook_forms import process_effects
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search import search
 from autotuner.core.diagnosis.search.acceptance import dropped_back, is_accepted

@@ -11,8 +11,8 @@ from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import lags_of, overflowing_stores
 from autotuner.core.diagnosis.extended.base import base_of, declared_base, has_sensible_sizes, is_physical
 from autotuner.core.diagnosis.extended.effect import View
-from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.intervals import process_covariance
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.search.simplify import with_third_lag

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class HeldInput:
     """An output that is constant between its changes, or several that change at the same times.
 
@@ -42,12 +43,12 @@ class HeldInput:
     levels: FloatArray
     slack_s: FloatArray | None = None
 
-    @property
+    @cached_property
     def steps(self) -> FloatArray:
         """Change at each of the times; the first is 0."""
         return _less_before(self.levels, 0.0)
 
-    @property
+    @cached_property
     def spans_s(self) -> FloatArray:
         """Time from the change before to each of the times, s; the first is 0."""
         return _less_before(self.times, self.times[0])

@@ -36,7 +36,8 @@ from sklearn.preprocessing import StandardScaler
 
 import autotuner
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit, without_rounding
+from autotuner.core.diagnosis.extended.extended_model import closest_first, without_rounding
+from autotuner.core.diagnosis.extended.fitting import ENOUGH_FOR_RANKS, fit
 from autotuner.core.diagnosis.findings.residual_dependence import dependences
 from autotuner.core.diagnosis.search import search, trace
 from autotuner.core.diagnosis.search.judge import noise_of

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import apart
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.sensor import comes_back
 from autotuner.core.estimation.linear_least_squares import solve_linear
 
@@ -42,7 +43,7 @@ def jump_moments(base: Fitted) -> list[float]:
     if not 2 * APART < rows.size <= MOST_ROWS:
         return []
     pv = dataset.data.pv[rows]
-    columns, slopes = replace(base.problem, rows=rows).tangent(base.theta)
+    columns, slopes = tangent(replace(base.problem, rows=rows), base.theta)
     q, _ = solve_linear(np.hstack((columns, slopes)), pv)
     left = pv - q @ (q.T @ pv)
     after = np.arange(rows.size, 0, -1, dtype=np.float64)

@@ -13,14 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.extended_model import (
-    SHORTEST,
-    Extended,
-    Fitted,
-    closest_first,
-    fit,
-    without_rounding,
-)
+from autotuner.core.diagnosis.extended.extended_model import SHORTEST, Extended, Fitted, closest_first, without_rounding
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.estimation.initial_guesses import ringing_shapes, scans
 from autotuner.core.identification.controller_inverse import is_inverse

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import fit
 from autotuner.core.diagnosis.extended.fit_context import MOST_SAMPLES, thinned
+from autotuner.core.diagnosis.extended.fitting import fit
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted

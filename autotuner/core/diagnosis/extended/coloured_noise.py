@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical, theta_of
-from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.estimation.data import GainPrior
 from autotuner.core.estimation.disturbed_loop import with_disturbance
 from autotuner.core.estimation.linear_least_squares import residual_after

@@ -1,28 +1,25 @@
-"""A process model extended by effects, fitted by separable least squares.
+"""A process model extended by effects, separable in what is searched for and what is solved for.
 
-    minimise over theta   |P(theta) pv|^2,   P = I - Q Q',   Q R = columns(theta)
-    d/dtheta             -P (d columns/dtheta) c                              (Kaufman's form, BIT 15, 1975)
+    PV = columns(theta) c + noise
 
 `theta` holds the logarithms of the process's time constants, its dead time in units of `unit_s`, then the numbers that
-the effects search for. Gains, offset and all sizes are columns and are solved for. The search is Levenberg-Marquardt
-within bounds: a step is clipped, and only one that lowers the misfit is taken. With autoregressive noise, PV and
-columns are those after the filter that makes it white, and the residual is that of prediction (see `ar_noise`).
+the effects search for. Gains, offset and all sizes, `c`, are coefficients of columns and are solved for (see
+`fitting`). With autoregressive noise, PV and columns are those after the filter that makes it white, and the residual
+is that of prediction (see `ar_noise`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Searched, View
-from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.estimation.noise.ar_noise import Coloured
-from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
@@ -36,19 +33,14 @@ if TYPE_CHECKING:
 
 SHORTEST, LONGEST = 0.05, 30.0
 """Bounds of time constants: in sample intervals, and in lengths of the recording."""
-DAMPING_START, DAMPING_UP, DAMPING_DOWN = 1e-3, 10.0, 0.2
-ENOUGH, ENOUGH_FOR_RANKS = 1e-6, 1e-4
-"""Relative fall of the misfit at which the search ends; and where it is only compared with others."""
 NO_GAIN = 1e-100
 """Gain in place of 0, PV per output: sizes over it, or over its third power, are endless, but are numbers."""
 SAME_MISFIT = 1e-6
 """Relative difference of two misfits that counts as zero: far more than rounding, which depends on the
 processor, and far less than the difference between explanations."""
-MOST_TRIES = 6
-"""Halvings of a step that increases the misfit before the search ends: 1/64 of a step is negligible."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Extended:
     """A structure with effects on a recording.
 
@@ -83,7 +75,7 @@ class Extended:
         """Unit of the dead time in `theta`, s."""
         return self.dataset.span_s / 100.0
 
-    @property
+    @cached_property
     def searched(self) -> tuple[Searched, ...]:
         """All that is searched for, the process's part first."""
         interval, span = self.dataset.data.interval_s, self.dataset.span_s
@@ -125,12 +117,12 @@ class Extended:
         entering = _with_loads(held, loads, D) if loads else None
         return View(dataset, dataset.data.t[rows], D, motion, held, entering)
 
-    @property
+    @cached_property
     def computed(self) -> IntArray:
         """The samples at which the PV is simulated for a fit: with a memory, also those between the fitted ones."""
         return self.rows if self.memory is None else np.arange(self.rows[0], self.rows[-1] + 1)
 
-    @property
+    @cached_property
     def target(self) -> FloatArray:
         """The PV that is fitted."""
         return self.whitened(self.dataset.data.pv[self.computed])
@@ -140,7 +132,7 @@ class Extended:
         noise = self.noise
         return values if noise is None else self.of_fitted(noise.whitened(values))
 
-    @property
+    @cached_property
     def noise(self) -> Coloured | None:
         """The noise with a memory, at the computed samples; None where it is white."""
         if self.memory is None:
@@ -162,20 +154,28 @@ class Extended:
         self, view: View, theta: FloatArray, background: FloatArray | None = None
     ) -> tuple[FloatArray, list[int]]:
         """Return the same of a view at `theta`; the background is given where the process is as it was."""
-        _, _, values = self.split(theta)
-        columns = self._response(view, values)
-        counts = []
-        for effect, p in zip(self.effects, values, strict=True):
-            added = list(effect.columns(view, p)) if effect.columns is not None else []
-            counts.append(len(added))
-            columns += added
-        return np.column_stack([*columns, *(self._background(view) if background is None else (background,))]), counts
+        columns = self._response(view, self.split(theta)[2])
+        added = self.added(view, theta)
+        background_columns = self._background(view) if background is None else [background]
+        return np.column_stack([*columns, *(c for of in added for c in of), *background_columns]), list(map(len, added))
 
-    def tangent(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the columns at the fitted samples, and the slopes of the simulated PV with all that is searched."""
-        point = _Point(self, theta)
-        slopes = point.slopes()
-        return point.columns, slopes if self.fixed is None else slopes[:, len(self.fixed) :]
+    def added(self, view: View, theta: FloatArray) -> list[list[FloatArray]]:
+        """Return the columns that each effect adds."""
+        _, _, values = self.split(theta)
+        return [
+            list(effect.columns(view, p)) if effect.columns is not None else []
+            for effect, p in zip(self.effects, values, strict=True)
+        ]
+
+    def responses(self, views: Sequence[View], thetas: Sequence[FloatArray]) -> list[list[FloatArray]]:
+        """Return the response to the output of each view of one process: at once where the output moves alike."""
+        inputs = [view.input for view in views]
+        changed = any(effect.response is not None for effect in self.effects)
+        if changed or any(held.times is not inputs[0].times for held in inputs):
+            return [self._response(view, self.split(theta)[2]) for view, theta in zip(views, thetas, strict=True)]
+        together = HeldInput(inputs[0].times, np.array([held.levels for held in inputs]))
+        first = views[0]
+        return list(map(list, zip(*first.motion.forced(together, first.t - first.delay_s)[0], strict=True)))
 
     def _response(self, view: View, values: Sequence[Sequence[float]]) -> list[FloatArray]:
         for effect, p in zip(self.effects, values, strict=True):
@@ -210,11 +210,15 @@ def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], data
     return effect.position(held, values, dataset)
 
 
+FROM_THE_START = unit_step(0.0)
+"""An input from before the record on."""
+
+
 def _from_state(view: View) -> list[FloatArray]:
     """Return the motions from an initial state, and the answer to an input before the record; again at each restart."""
     starts = np.array(view.dataset.restarts_s)
     since = view.t - starts[np.searchsorted(starts, view.t, side="right") - 1]
-    return [*view.motion.free(since), view.motion.forced(unit_step(0.0), since - view.delay_s)[0][0]]
+    return [*view.motion.free(since), view.motion.forced(FROM_THE_START, since - view.delay_s)[0][0]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -382,130 +386,3 @@ def sizes_at(problem: Extended, theta: FloatArray, linear: FloatArray, counts: S
         sizes.append(dict(effect.sizes(p, linear[at : at + count].tolist(), gain)))
         at += count
     return sizes
-
-
-class _Point:
-    """The problem at one `theta`: residual, and slopes on demand."""
-
-    def __init__(self, problem: Extended, theta: FloatArray) -> None:
-        self.problem, self.theta = problem, theta
-        self.view = problem.view(theta, problem.computed)
-        self.simulated, self.counts = problem.columns_of(self.view, theta)
-        self.columns = problem.whitened(self.simulated)
-        target = problem.target
-        self.q, self.linear = solve_linear(self.columns, target)
-        self.residual = target - self.q @ (self.q.T @ target)
-        self.misfit = float(self.residual @ self.residual)
-        if not math.isfinite(self.misfit):
-            self.misfit = math.inf
-
-    def slopes(self, count: int | None = None) -> FloatArray:
-        """Return the slope of the simulated PV with each searched number (or the first few), the linear ones held."""
-        simulated = self.simulated @ self.linear
-        searched_for = self.problem.searched[:count]
-        moved = np.zeros((simulated.size, len(searched_for)))
-        known = self._known(moved)
-        for k, searched in enumerate(searched_for):
-            if k in known or searched.step == 0.0:
-                continue
-            step = searched.step if self.theta[k] + searched.step <= searched.high else -searched.step
-            shifted = self.theta.copy()
-            shifted[k] += step
-            moved[:, k] = (self._columns_at(shifted, k) @ self.linear - simulated) / step
-        return self.problem.whitened(moved)
-
-    def _columns_at(self, theta: FloatArray, k: int) -> FloatArray:
-        """Return the columns at a `theta` with another number `k`: only those that may depend on it are new."""
-        problem, ahead, column = self.problem, len(self.problem.structure.shape) + 1, self.problem.structure.gains
-        background = self.simulated[:, column + sum(self.counts) :] if k >= ahead else None
-        for effect, count in zip(problem.effects, self.counts, strict=True):
-            first, ahead = ahead, ahead + len(effect.searched)
-            if first <= k < ahead and count and effect.columns is not None and effect.only_adds:
-                columns = self.simulated.copy()
-                columns[:, column : column + count] = np.transpose(
-                    effect.columns(self.view, theta[first:ahead].tolist())
-                )
-                return columns
-            column += count
-        return problem.columns_of(problem.view(theta, problem.computed), theta, background)[0]
-
-    def _known(self, moved: FloatArray) -> set[int]:
-        """Write the slopes that effects know at once; return which they are."""
-        problem, at = self.problem, len(self.problem.structure.shape) + 1
-        known: set[int] = set()
-        _, _, values = problem.split(self.theta)
-        for effect, p in zip(problem.effects, values, strict=True):
-            ahead = at + len(p)
-            if effect.slopes is not None and ahead <= moved.shape[1]:
-                moved[:, at:ahead] = float(self.linear[0]) * effect.slopes(self.view, p)
-                known |= set(range(at, ahead))
-            at = ahead
-        return known
-
-    def jacobian(self) -> FloatArray:
-        moved = self.slopes()
-        result: FloatArray = self.q @ (self.q.T @ moved) - moved
-        return result
-
-
-def fit(problem: Extended, start: FloatArray, steps: int = 25, enough: float = ENOUGH) -> Fitted:
-    """Return the minimum next to a start.
-
-    Parameters
-    ----------
-    problem : Extended
-        What is fitted.
-    start : array of float
-        Value of `theta`.
-    steps : int
-        Most steps.
-    enough : float
-        Relative fall of the misfit at which the search ends.
-    """
-    low = np.array([s.low for s in problem.searched])
-    high = np.array([s.high for s in problem.searched])
-    point = _Point(problem, np.clip(start, low, high))
-    damping = DAMPING_START
-    for _ in range(steps):
-        J = point.jacobian()
-        better, damping = _step(point, J, damping, low, high)
-        if better is None:
-            break
-        fall = point.misfit - better.misfit
-        point = better
-        if fall <= enough * point.misfit:
-            break
-    return Fitted(problem, point.theta, point.linear, point.counts, point.residual)
-
-
-def _step(
-    point: _Point, J: FloatArray, damping: float, low: FloatArray, high: FloatArray
-) -> tuple[_Point | None, float]:
-    """Return a better point, None without any, and the damping for the next step."""
-    gradient, normal = J.T @ point.residual, J.T @ J
-    scale = np.maximum(np.diag(normal), 1e-12 * max(float(np.trace(normal)), SMALLEST_DIVISOR))
-    blocked = ((point.theta <= low) & (gradient > 0.0)) | ((point.theta >= high) & (gradient < 0.0))
-    free = np.flatnonzero(~blocked)
-    if not free.size:
-        return None, damping
-    for _ in range(MOST_TRIES):
-        matrix = normal[np.ix_(free, free)] + damping * np.diag(scale[free])
-        move = np.zeros(point.theta.size)
-        move[free] = -np.linalg.lstsq(matrix, gradient[free], rcond=None)[0]
-        tried = _Point(point.problem, np.clip(point.theta + np.clip(move, -3.0, 3.0), low, high))
-        if tried.misfit < point.misfit:
-            return tried, max(damping * DAMPING_DOWN, 1e-9)
-        damping *= DAMPING_UP
-    return None, damping
-
-
-def linearised(problem: Extended, theta: FloatArray) -> float:
-    """Return the remaining mean square when the process may move along its tangent: a cheap score of a start."""
-    point = _Point(problem, theta)
-    if problem.fixed is not None:
-        return point.misfit / point.residual.size
-    J = point.slopes(len(problem.structure.shape) + 1)
-    J = J - point.q @ (point.q.T @ J)
-    q, _ = solve_linear(J, point.residual)
-    left = point.residual - q @ (q.T @ point.residual)
-    return float(left @ left) / left.size

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import sizes_at
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.estimation.noise.slow_part import slow_part
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -65,7 +66,7 @@ Neighbours = tuple[tuple[float, "Fitted"], ...]
 
 def covariance(context: FitContext, fitted: Fitted, held_at: Sequence[int] = ()) -> FloatArray:
     """Return the covariance of `theta` and the linear parameters; 0 for fixed ones, and where `theta` is held."""
-    columns, slopes = fitted.problem.tangent(fitted.theta)
+    columns, slopes = tangent(fitted.problem, fitted.theta)
     held = fitted.theta.size - slopes.shape[1]
     slopes[:, [k - held for k in held_at]] = 0.0
     J = _beside_memory(fitted, np.hstack((slopes, columns)))
@@ -347,7 +348,7 @@ def _nearest_at(fitted: Fitted, k: int, value: float) -> tuple[FloatArray, Float
     """Return all that is fitted with one number held, the others moved along their slopes, and the misfit."""
     theta = fitted.theta.copy()
     theta[k] = value
-    columns, slopes = fitted.problem.tangent(theta)
+    columns, slopes = tangent(fitted.problem, theta)
     held = fitted.theta.size - slopes.shape[1]
     others = np.delete(np.arange(held, theta.size), k - held)
     pv = fitted.problem.target

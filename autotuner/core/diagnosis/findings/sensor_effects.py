@@ -18,7 +18,8 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.effect import Place
-from autotuner.core.diagnosis.extended.extended_model import Fitted, fit
+from autotuner.core.diagnosis.extended.extended_model import Fitted
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.findings.advice import remedy
 from autotuner.core.diagnosis.findings.result import FoundEffect
 from autotuner.core.diagnosis.record.sensor import COARSE, HARMFUL

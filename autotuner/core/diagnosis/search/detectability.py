@@ -17,6 +17,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, rate_limit, updated_every
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.search.judge import VISIBLE
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.estimation.linear_least_squares import solve_linear
@@ -116,7 +117,7 @@ def _hidden(context: FitContext, chosen: Fitted, noise: float, doubts: Sequence[
     """Return the largest hidden size of each effect; omit effects whose sizes are all visible."""
     rows = context.coarse
     plain = replace(chosen.problem, rows=rows)
-    columns, slopes = plain.tangent(chosen.theta)
+    columns, slopes = tangent(plain, chosen.theta)
     q, _ = solve_linear(np.hstack((columns, slopes)), plain.target)
     sigma = noise if plain.memory is None else chosen.rms  # noise with a memory hides what its innovations hide
     most = math.sqrt(VISIBLE**2 - 1.0) * math.hypot(sigma, context.dataset.floor)

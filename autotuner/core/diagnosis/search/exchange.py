@@ -11,7 +11,8 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.effect import Place
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import is_near_later
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, noise_of
 from autotuner.core.diagnosis.search.search import (

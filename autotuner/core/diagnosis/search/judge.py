@@ -20,6 +20,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.free_forms import free_load_after
 from autotuner.core.diagnosis.extended.effect import Place
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.dataset import FEWEST_AT_REST, FLOOR, noise_at_rest
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -156,7 +157,7 @@ def is_foreseen(context: FitContext, after: Fitted, noise: float) -> bool:
     if after.rms >= NOTHING_LEFT * noise or is_beside_free_load(after):
         return False
     fitted, elsewhere = (
-        np.hstack(replace(after.problem, rows=rows).tangent(after.theta))
+        np.hstack(tangent(replace(after.problem, rows=rows), after.theta))
         for rows in (after.problem.rows, context.held_out)
     )
     spread = elsewhere @ np.linalg.pinv(fitted)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import bands_alike
-from autotuner.core.diagnosis.extended.extended_model import fit
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.exchange import first_number, values_of
 
 if TYPE_CHECKING:

@@ -18,14 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import (
-    Extended,
-    Fitted,
-    closest_first,
-    fit,
-    linearised,
-    without_rounding,
-)
+from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, closest_first, without_rounding
+from autotuner.core.diagnosis.extended.fitting import fit, linearised
 from autotuner.core.diagnosis.search.judge import is_helpful, weigh
 from autotuner.core.diagnosis.search.search import best_on_both_parts, better_of, refined
 from autotuner.core.model.structures import SECOND_ORDER

@@ -22,7 +22,8 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
 from autotuner.core.diagnosis.search.exchange import first_number, in_another_form
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of

@@ -7,6 +7,9 @@ For an effect that only adds columns, the tangent of the process is the same for
 An effect that changes the input or the response moves the tangent too. Its starts are compared with that of the base,
 and the best of them evaluated again with their own. Each start is also compared beside the answer of the base, so that
 the change may have any strength: far from its size, an effect is worse than none.
+
+All starts of an effect on a base are computed at once, orthogonalised twice against what they share (Giraud, Langou and
+Rozloznik, Comput. Math. Appl. 50, 2005).
 """
 
 from __future__ import annotations
@@ -16,13 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.extended_model import Extended, linearised, without_rounding
-from autotuner.core.estimation.linear_least_squares import residual_after, solve_linear
+from autotuner.core.diagnosis.extended.extended_model import Extended, without_rounding
+from autotuner.core.diagnosis.extended.fitting import Point, fit, tangent
+from autotuner.core.estimation.linear_least_squares import DEPENDENT, solve_linear
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.extended.effect import Effect, View
+    from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.model.arrays import FloatArray
@@ -35,7 +39,8 @@ KEPT, LOOKED_AT_AGAIN = 2, 3
 class Start:
     """An effect added to a base, and where its search begins.
 
-    Two scores: as it is, and beside the answer of the base, by which the effect has any strength.
+    Two scores: as it is, and beside the answer of the base, by which the effect has any strength. `point` is the
+    problem there, where it was computed for its own tangent.
     """
 
     effect: Effect
@@ -43,6 +48,71 @@ class Start:
     theta: FloatArray
     score: float
     at_any_strength: float
+    point: Point | None = None
+
+    def fitted(self, steps: int, enough: float) -> Fitted:
+        """Return the minimum next to it (see `fit`)."""
+        return fit(self.problem, self.theta, steps, enough, self.point)
+
+    def by_its_own_tangent(self) -> Start:
+        """Return the same with the score along its own tangent."""
+        point = Point(self.problem, self.theta)
+        return replace(self, score=point.along_the_tangent(), point=point)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Span:
+    """Columns that are common to all starts, and what they leave of the PV.
+
+    Attributes
+    ----------
+    basis : array of float, shape (N, Q)
+        Orthonormal basis of the columns on the screening samples.
+    left : array of float, shape (N,)
+        What they leave of the PV.
+    """
+
+    basis: FloatArray
+    left: FloatArray
+
+    @classmethod
+    def of(cls, columns: FloatArray, pv: FloatArray) -> Span:
+        """Return the span of some columns, shape (N, L), and what they leave of the PV, shape (N,)."""
+        basis, _ = solve_linear(columns, pv)
+        return cls(basis, pv - basis @ (basis.T @ pv))
+
+    def mean_squares(self, columns: FloatArray) -> FloatArray:
+        """Return what is left beside the further columns of each start, PV squared.
+
+        Parameters
+        ----------
+        columns : array of float, shape (starts, L, N)
+            Columns of each; one that depends on the others does not count.
+
+        Returns
+        -------
+        array of float, shape (starts,)
+        """
+        least = DEPENDENT * np.sqrt(np.einsum("kln,kln->kl", columns, columns))
+        for _ in range(2):
+            columns = columns - (columns @ self.basis) @ self.basis.T
+        units: list[FloatArray] = []
+        left = np.tile(self.left, (columns.shape[0], 1))
+        for column, smallest in zip(columns.swapaxes(0, 1), least.T, strict=True):
+            units.append(_unit_across(column, units, smallest))
+            left -= np.einsum("kn,kn->k", left, units[-1])[:, None] * units[-1]
+        result: FloatArray = np.einsum("kn,kn->k", left, left) / left.shape[1]
+        return result
+
+
+def _unit_across(column: FloatArray, units: Sequence[FloatArray], smallest: FloatArray) -> FloatArray:
+    """Return a column of each start across its earlier ones, of unit length; 0 where it depends on them."""
+    for _ in range(2):
+        for unit in units:
+            column = column - np.einsum("kn,kn->k", column, unit)[:, None] * unit
+    length = np.sqrt(np.einsum("kn,kn->k", column, column))
+    result: FloatArray = column / np.where(length > smallest, length, np.inf)[:, None]
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,34 +123,30 @@ class Tangent:
     ----------
     base : Fitted
         The base.
-    basis : array of float, shape (N, Q)
-        Orthonormal basis of its columns and slopes on the screening samples.
-    left : array of float, shape (N,)
-        What they leave of the PV.
-    slopes : array of float, shape (N, P)
-        The slopes alone.
-    background : array of float, shape (N, B)
-        What the PV does besides.
-    answers : array of float, shape (N, G)
-        Its answer to the output. A mix of it and the answer of a changed process is a change of another strength.
+    as_it_is : Span
+        All its columns and slopes: an effect that only adds columns leaves them as they are.
+    moving : Span
+        Its slopes, and what the PV does besides: of them, an effect that changes the input leaves the latter.
+    at_any_strength : Span
+        The same and its answer to the output. A mix of it and the answer of a changed process is a change of another
+        strength.
     """
 
     base: Fitted
-    basis: FloatArray
-    left: FloatArray
-    slopes: FloatArray
-    background: FloatArray
-    answers: FloatArray
+    as_it_is: Span
+    moving: Span
+    at_any_strength: Span
 
 
 def tangent_of(context: FitContext, base: Fitted) -> Tangent:
     """Return a base with its tangent."""
     problem = replace(base.problem, rows=context.screen)
-    columns, slopes = problem.tangent(base.theta)
+    columns, slopes = tangent(problem, base.theta)
+    gains = problem.structure.gains
+    beside = np.hstack((columns[:, gains + sum(base.counts) :], slopes))
     pv = context.dataset.data.pv[context.screen]
-    basis, _ = solve_linear(np.hstack((columns, slopes)), pv)
-    background = columns[:, problem.structure.gains + sum(base.counts) :]
-    return Tangent(base, basis, pv - basis @ (basis.T @ pv), slopes, background, columns[:, : problem.structure.gains])
+    spans = (np.hstack((columns, slopes)), beside, np.hstack((beside, columns[:, :gains])))
+    return Tangent(base, *(Span.of(span, pv) for span in spans))
 
 
 def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -> tuple[list[Start], Start | None]:
@@ -89,52 +155,51 @@ def screened(context: FitContext, tangents: Sequence[Tangent], effect: Effect) -
     ranked = without_rounding(starts, lambda s: s.score)
     if effect.only_adds or not ranked:
         return ranked[:KEPT], None
-    again = [replace(s, score=linearised(s.problem, s.theta)) for s in ranked[:LOOKED_AT_AGAIN]]
+    again = [s.by_its_own_tangent() for s in ranked[:LOOKED_AT_AGAIN]]
     return without_rounding(again, lambda s: s.score)[:KEPT], without_rounding(starts, lambda s: s.at_any_strength)[0]
 
 
 def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start]:
     base = tangent.base
-    if not fits_beside(effect, base.problem.effects):
+    if not fits_beside(effect, base.problem.effects) or not effect.starts:
         return []
     problem = replace(base.problem.with_effect(effect), rows=context.screen)
-    score = _scores_of_columns if effect.only_adds else _scores_of_change
+    thetas = [theta_with(base, problem, effect, values) for values in effect.starts]
+    scores = _scores_of_columns if effect.only_adds else _scores_of_change
     return [
-        Start(effect, problem, theta, *score(context, tangent, effect, problem, theta, values))
-        for values in effect.starts
-        for theta in [theta_with(base, problem, effect, values)]
+        Start(effect, problem, theta, float(as_it_is), float(at_any_strength))
+        for theta, as_it_is, at_any_strength in zip(thetas, *scores(tangent, effect, problem, thetas), strict=True)
     ]
 
 
 def _scores_of_change(
-    context: FitContext,
-    tangent: Tangent,
-    _effect: Effect,
-    problem: Extended,
-    theta: FloatArray,
-    _values: Sequence[float],
-) -> tuple[float, float]:
-    columns, _ = problem.columns_of(problem.view(theta, context.screen), theta, tangent.background)
-    pv = context.dataset.data.pv[context.screen]
-    beside = np.hstack((columns, tangent.slopes))
-    left = [residual_after(c, pv) for c in (beside, np.hstack((beside, tangent.answers)))]
-    as_it_is, at_any_strength = (float(r @ r) / r.size for r in left)
-    return as_it_is, at_any_strength
+    tangent: Tangent, _effect: Effect, problem: Extended, thetas: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    views = [problem.view(theta, problem.rows) for theta in thetas]
+    added = [[c for of in problem.added(view, theta) for c in of] for view, theta in zip(views, thetas, strict=True)]
+    answers = problem.responses(views, thetas)
+    columns = _stacked([[*own, *more] for own, more in zip(answers, added, strict=True)], problem.rows.size)
+    return tangent.moving.mean_squares(columns), tangent.at_any_strength.mean_squares(columns)
 
 
 def _scores_of_columns(
-    context: FitContext, tangent: Tangent, effect: Effect, problem: Extended, theta: FloatArray, values: Sequence[float]
-) -> tuple[float, float]:
+    tangent: Tangent, effect: Effect, problem: Extended, thetas: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
     assert effect.columns is not None  # noqa: S101 - what changes neither position nor response adds columns
-    view: View = problem.view(theta, context.screen)
-    added = effect.columns(view, values)
-    if not len(added):
-        return np.inf, np.inf
-    columns = np.column_stack(list(added))
-    columns = columns - tangent.basis @ (tangent.basis.T @ columns)
-    left = residual_after(columns, tangent.left)
-    score = float(left @ left) / left.size
-    return score, score  # their sizes are linear
+    view = problem.view(thetas[0], problem.rows)  # it does not depend on the numbers of the effect
+    added = [list(effect.columns(view, values)) for values in effect.starts]
+    left = tangent.as_it_is.mean_squares(_stacked(added, problem.rows.size))
+    scores = np.where([len(columns) > 0 for columns in added], left, np.inf)
+    return scores, scores  # their sizes are linear
+
+
+def _stacked(columns: Sequence[Sequence[FloatArray]], samples: int) -> FloatArray:
+    """Return the columns of each start in one array, with columns of 0 where there are fewer."""
+    stacked = np.zeros((len(columns), max(map(len, columns)), samples))
+    for row, of in zip(stacked, columns, strict=True):
+        for k, column in enumerate(of):
+            row[k] = column
+    return stacked
 
 
 def fits_beside(effect: Effect, others: Sequence[Effect]) -> bool:

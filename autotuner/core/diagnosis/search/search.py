@@ -17,14 +17,8 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.disturbance import load_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import (
-    ENOUGH_FOR_RANKS,
-    Fitted,
-    closest_first,
-    fit,
-    plainness,
-    without_rounding,
-)
+from autotuner.core.diagnosis.extended.extended_model import Fitted, closest_first, plainness, without_rounding
+from autotuner.core.diagnosis.extended.fitting import ENOUGH_FOR_RANKS, fit
 from autotuner.core.diagnosis.search.judge import OF_TIME, is_beside_free_load
 from autotuner.core.diagnosis.search.screen import screened, tangent_of
 
@@ -70,9 +64,7 @@ def sketched(context: FitContext, bases: Sequence[Fitted], effects: Sequence[Eff
     rows = [*ranked[:count], *(starts for starts in ranked[count:] if starts[0].effect.key in ALWAYS_TRIED)]
     rows += _at_any_strength([start for _, start in scored if start is not None], rows)
     return closest_first(
-        _as_the_process_feels_it(
-            context, closest_first(fit(s.problem, s.theta, QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0]
-        )
+        _as_the_process_feels_it(context, closest_first(s.fitted(QUICK_STEPS, ENOUGH_FOR_RANKS) for s in of)[0])
         for of in within(budget, rows)
     )
 

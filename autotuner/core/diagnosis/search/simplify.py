@@ -33,7 +33,8 @@ from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.effects.waves import SLOW_WAVE
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import that_stick
 from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_another_form, values_of
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh

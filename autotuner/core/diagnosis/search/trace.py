@@ -17,7 +17,8 @@ from autotuner.core.diagnosis.effects.jumps import plain_jump
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.coloured_noise import is_noise_instead
 from autotuner.core.diagnosis.extended.effect import Place
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import (
     dropped_back,
     is_accepted,

@@ -17,6 +17,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import without_rounding
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.signals.noise import SIGNIFICANT, autocorrelation, inflation, rms
@@ -121,7 +122,7 @@ def _weighted_step(chosen: Fitted, weight: FloatArray) -> Fitted:
     problem = chosen.problem
     pv = problem.dataset.data.pv[problem.rows]
     low, high = (np.array([getattr(s, end) for s in problem.searched]) for end in ("low", "high"))
-    columns, slopes = problem.tangent(chosen.theta)
+    columns, slopes = tangent(problem, chosen.theta)
     _, found = solve_linear(np.hstack((columns, slopes)) * weight[:, None], pv * weight)
     move = np.zeros(chosen.theta.size)
     move[move.size - slopes.shape[1] :] = found[columns.shape[1] :]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import SAME_MISFIT, apart, without_rounding
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.zoh_input import HeldInput
@@ -81,7 +82,7 @@ def _normal(base: Fitted, rows: np.ndarray, index: np.ndarray, count: int) -> tu
     held = problem.dataset.data.held
     on = (index == np.arange(count)[:, None]).astype(float)
     J = float(base.linear[0]) * view.forced(HeldInput(held.times, on - on[:, :1])).T
-    q, _ = solve_linear(np.hstack(replace(problem, rows=rows).tangent(base.theta)), problem.dataset.data.pv[rows])
+    q, _ = solve_linear(np.hstack(tangent(replace(problem, rows=rows), base.theta)), problem.dataset.data.pv[rows])
     J = J - q @ (q.T @ J)
     left = problem.dataset.data.pv[rows] - q @ (q.T @ problem.dataset.data.pv[rows])
     return J.T @ J, J.T @ left

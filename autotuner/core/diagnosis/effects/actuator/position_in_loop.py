@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from autotuner.core.diagnosis.extended.extended_model import apart
+from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
@@ -177,7 +178,7 @@ class _Part:
 
     def __init__(self, loop: _Loop, rows: IntArray) -> None:
         base = loop.base
-        columns, slopes = replace(base.problem, rows=rows).tangent(base.theta)
+        columns, slopes = tangent(replace(base.problem, rows=rows), base.theta)
         pv = base.problem.dataset.data.pv[rows]
         self.rows, self.answers = rows, loop.answers[rows]
         self.basis, _ = solve_linear(np.hstack((columns[:, 1:], slopes)), pv)

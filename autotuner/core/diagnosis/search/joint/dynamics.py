@@ -23,7 +23,8 @@ from autotuner.core.diagnosis.effects.actuator.saturation import soft_limits
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.waves import share_of_wave, spectral_lines
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
+from autotuner.core.diagnosis.extended.fitting import ENOUGH_FOR_RANKS, fit
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.diagnosis.search.search import (
     COARSE_STEPS,

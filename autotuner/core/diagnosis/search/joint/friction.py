@@ -31,15 +31,8 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
 from autotuner.core.diagnosis.effects.process.friction import process_friction
 from autotuner.core.diagnosis.effects.waves import lines_of_all, wave_at_the_input
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import (
-    Extended,
-    Fitted,
-    apart,
-    closest_first,
-    fit,
-    linearised,
-    without_rounding,
-)
+from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, apart, closest_first, without_rounding
+from autotuner.core.diagnosis.extended.fitting import fit, linearised
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.joint.valve_bands import Bands, bands_of
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of

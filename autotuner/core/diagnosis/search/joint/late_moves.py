@@ -17,7 +17,8 @@ from autotuner.core.diagnosis.effects.actuator.flow_delay import dead_time_jump
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import updated_every
 from autotuner.core.diagnosis.effects.actuator.update_jitter import FEWEST, grids_of_times, one_later, uneven_updates
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import closest_first, fit, plainness, without_rounding
+from autotuner.core.diagnosis.extended.extended_model import closest_first, plainness, without_rounding
+from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
 from autotuner.core.diagnosis.search.exchange import exchanged, first_number, values_of
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of

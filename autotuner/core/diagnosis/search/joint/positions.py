@@ -21,7 +21,8 @@ from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
 )
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.extended.base import is_physical
-from autotuner.core.diagnosis.extended.extended_model import ENOUGH_FOR_RANKS, closest_first, fit
+from autotuner.core.diagnosis.extended.extended_model import closest_first
+from autotuner.core.diagnosis.extended.fitting import ENOUGH_FOR_RANKS, fit
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, SAME, form_of, refined, within
 
 if TYPE_CHECKING:
