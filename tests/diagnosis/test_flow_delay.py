@@ -16,6 +16,7 @@ from autotuner.core.diagnosis.effects.actuator.flow_delay import (
     dead_time_jump,
     flow_delay,
 )
+from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
 from autotuner.effects import EffectPlugin, check_effect
 from autotuner_sim import PlugFlow
@@ -47,26 +48,49 @@ def test_less_flow_makes_it_later():
     assert carried(moves((0.0, 0.0), (10.0, 6.0)), -0.1, 6.0).times[1] == pytest.approx(10.0 + 15.0 - 6.0)
 
 
-def test_the_lag_holds_the_volume_of_the_pipe():
+@pytest.mark.parametrize("power", [1.0, 2.0, 0.5])
+def test_the_lag_holds_the_volume_of_the_pipe(power):
     """By root finding: the lag L of a moment t is that for which the flow over (t - L, t) is the volume."""
     random = np.random.default_rng(4)
     at, u = np.cumsum(random.uniform(1.0, 6.0, 30)), random.uniform(-8.0, 8.0, 30)
-    held, change, volume = HeldInput(np.append(0.0, at), np.append(0.0, u)), 0.08, 9.0
+    held, change, volume = HeldInput(np.append(0.0, at), np.append(0.0, u)), 0.06, 9.0
 
     def passed(t):
         edges = np.concatenate(([-50.0], at[at < t], [t]))
-        return float(np.sum(np.diff(edges) * (1.0 + change * np.append(0.0, u)[: edges.size - 1])))
+        flow = (1.0 + change / power * np.append(0.0, u)[: edges.size - 1]) ** power
+        return float(np.sum(np.diff(edges) * flow))
 
-    arrived = carried(held, change, volume)
+    arrived = carried(held, change, volume, 1.0 / power)
     for t in random.uniform(12.0, at[-1], 40):
         lag = scipy.optimize.brentq(lambda L, t=t: passed(t) - passed(t - L) - volume, 0.0, 60.0, xtol=1e-10)
         source = np.searchsorted(held.times, t - lag, side="right") - 1
         assert np.searchsorted(arrived.times + volume, t, side="right") - 1 == source
 
 
+def test_what_lies_outside_the_pipe_stays_late_by_as_much():
+    """Of a dead time of 10 s, 6 s lie in the pipe: from 10 s on its flow is half, behind a square 0.5625."""
+    recording = Recording(np.arange(40.0), np.where(np.arange(40) < 10, 0.0, 4.0), np.arange(40.0) % 3.0)
+    dataset = dataset_of(recording)
+    straight = flow_delay(dataset)
+    (curved,) = straight.other_forms
+    at = dataset.data.held.times[1]
+    for numbers, expected in (
+        ((-0.5, 1.0, 0.6), 6.0),
+        ((-0.5, 0.5, 0.6), 6.0 / 0.5625 - 6.0),
+        ((-0.5, 1.0, 1.0), 10.0),
+    ):
+        arrived = curved.transport(dataset.data.held, numbers, 10.0, dataset)
+        assert arrived.times[1] - at == pytest.approx(expected)
+        sizes = curved.sizes(numbers, (), 1.0)
+        assert sizes["longest_over_first"] == pytest.approx(1.0 + expected / 10.0)
+        assert (sizes["power"], sizes["share_of_dead_time"]) == (1.0 / numbers[1], numbers[2])
+
+
 def test_it_conforms():
     def make(dataset, _base):
-        return [replace(flow_delay(dataset), name="pipe")]
+        straight = flow_delay(dataset)
+        forms = tuple(replace(form, name="pipe") for form in straight.other_forms)
+        return [replace(straight, name="pipe", other_forms=forms)]
 
     assert check_effect(EffectPlugin("pipe", make, "up to {longest_over_first:.3g} times")) == []
 

@@ -19,6 +19,8 @@ FORMS = [
     ("nonlinear_loss:radiation", 775, "relay", "radiation of the last store"),
     ("nonlinear_loss:outflow", 788, "random", "outflow of the last store"),
     ("dead_time_jump:within a while", 775, "random", "within a while"),
+    ("flow_delay:pipe behind a curve", 787, "random", "behind a curve"),
+    ("flow_delay:pipe behind a curve", 797, "random", "behind a curve"),
     ("drift:curved", 767, "random", "accelerating"),
     ("load_step:settling", 774, "steps", "settling"),
     ("time_proportioning:latched", 784, "random", ""),

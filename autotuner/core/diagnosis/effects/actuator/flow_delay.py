@@ -5,9 +5,11 @@
 `L` lag, `u` position as deviation from its start, `a` relative change of the flow with it. With `V/q0` known, the dead
 time at the first flow, a position that is taken at `t_i` leaves the pipe at
 
-    t_i' = Q^-1(Q(t_i) + V/q0),     Q(t) = integral of 1 + a u
+    t_i' = Q^-1(Q(t_i) + V/q0),     Q(t) = integral of q/q0
 
-`Q` is straight between two moves, so that this is exact. Where the flow changes from `q0` to `q0/r` at a time `t*`, the
+`Q` is straight between two moves, so that this is exact. Behind the curve of a valve, q = q0 (1 + b a u)^(1/b): a power
+of the output, in the limit of small `b` that of equal percentages, q0 e^(a u). A share of the dead time may lie
+elsewhere, as in an analyser, and stay as it is. Where the flow changes from `q0` to `q0/r` at a time `t*`, the
 dead time becomes `r` times as long: `Q(t) = min(t, t*) + max(t - t*, 0)/r`. Where it does so evenly within a while
 `W`, the flow falls to `q0/(1 + k s)`, with `s = t - t*` and `k = (r - 1)/W`:  `Q = t* + ln(1 + k s)/k`  up to `s = W`,
 and straight from there.
@@ -47,23 +49,36 @@ FEWEST_MOVES = 2
 """Moves of the output on either side of a jump: one move alone may be late for any other reason."""
 STARTS = (-1.2, -0.5, 0.3, 0.7, 1.2, 2.0)
 """Changes of the flow over the swing to begin from."""
+BEHIND_A_CURVE = "behind a curve"
+"""What a flow by a power of the output is called, in a pipe that has a part of the dead time."""
+BENDS, LEAST_SHARE = (0.1, 2.0), 0.2
+"""One over the power: 10, all but the exponential of an equal-percentage valve, to the root of an orifice's level; and
+the least share of the dead time in the pipe: of a smaller one, a record shows no curve."""
+STRAIGHT, CURVED = (1.0, 1.0), (0.6, 0.7)
+"""Bend, and share of the dead time, of a flow in proportion in a pipe that has all of it; and those to begin from."""
 
 
 def flow_delay(dataset: Dataset) -> Effect:
-    """Return the effect; the flow rises with the output, or falls as behind a bypass valve."""
+    """Return the effect; the flow rises with the output, or falls as behind a bypass valve.
+
+    In its place, a flow behind the curve of a valve is tried, in a pipe that has a part of the dead time.
+    """
     swing, levels = dataset.swing, dataset.data.held.levels / dataset.swing
     highest, lowest = max(float(levels.max()), 0.0), min(float(levels.min()), 0.0)
     most = min((1.0 - LEAST_FLOW) / max(-lowest, 1e-9), MOST_CHANGE)
     least = max(-(1.0 - LEAST_FLOW) / max(highest, 1e-9), -MOST_CHANGE)
 
     def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
-        return carried(held, p[0] / swing, delay_s)
+        change, bend, share = (*p, *STRAIGHT)[:3]
+        return carried(held, change / swing, share * delay_s, bend)
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        slowest = 1.0 + min(p[0] * highest, p[0] * lowest)
-        return {"flow_per_output": p[0] / swing, "longest_over_first": 1.0 / max(slowest, LEAST_FLOW)}
+        change, bend, share = (*p, *STRAIGHT)[:3]
+        slowest = float(flow_at(change * np.array([highest, lowest]), bend).min())
+        found = {"flow_per_output": change / swing, "longest_over_first": 1.0 + share * (1.0 / slowest - 1.0)}
+        return {**found, "power": 1.0 / bend, "share_of_dead_time": share} if len(p) > 1 else found
 
-    return Effect(
+    straight = Effect(
         "flow_delay",
         Place.PROCESS,
         (Searched("change", least, most, 1e-4),),
@@ -73,6 +88,14 @@ def flow_delay(dataset: Dataset) -> Effect:
         order=3,
         group="timing",
     )
+    curved = replace(
+        straight,
+        form=BEHIND_A_CURVE,
+        searched=(*straight.searched, Searched("bend", *BENDS, 1e-4), Searched("share", LEAST_SHARE, 1.0, 1e-4)),
+        starts=[(*start, *CURVED) for start in straight.starts],
+        price=2.0,
+    )
+    return replace(straight, other_forms=(curved,))
 
 
 def dead_time_jump(dataset: Dataset, fewest: int = FEWEST_MOVES) -> Effect:
@@ -144,7 +167,13 @@ def carried_since(held: HeldInput, at_s: float, ratio: float, delay_s: float, la
     return _arriving(held, times)
 
 
-def carried(held: HeldInput, flow_per_output: float, delay_s: float) -> HeldInput:
+def flow_at(change: FloatArray, bend: float) -> FloatArray:
+    """Return the flow over the first one, `(1 + b x)^(1/b)`, of relative changes `x` at the first slope."""
+    result: FloatArray = np.maximum(np.maximum(1.0 + bend * change, 0.0) ** (1.0 / bend), LEAST_FLOW)
+    return result
+
+
+def carried(held: HeldInput, flow_per_output: float, delay_s: float, bend: float = 1.0) -> HeldInput:
     """Return a position as it leaves the pipe, the dead time at the first flow left out.
 
     Parameters
@@ -154,9 +183,11 @@ def carried(held: HeldInput, flow_per_output: float, delay_s: float) -> HeldInpu
     flow_per_output : float
         Relative change of the flow, 1/output.
     delay_s : float
-        Dead time at the first flow, s.
+        Dead time in the pipe at the first flow, s.
+    bend : float
+        One over the power of the output that the flow follows.
     """
-    flow = np.maximum(1.0 + flow_per_output * held.levels, LEAST_FLOW)
+    flow = flow_at(flow_per_output * held.levels, bend)
     passed = np.concatenate(([0.0], np.cumsum(flow[:-1] * np.diff(held.times))))
     leaves = passed + delay_s
     k = np.searchsorted(passed, leaves, side="right") - 1
