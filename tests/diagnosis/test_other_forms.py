@@ -24,6 +24,8 @@ FORMS = [
     ("drift:curved", 767, "random", "accelerating"),
     ("load_step:settling", 774, "steps", "settling"),
     ("time_proportioning:latched", 784, "random", ""),
+    ("time_proportioning:latched", 807, "relay", ""),
+    pytest.param("time_proportioning:latched", 797, "relay", "", marks=pytest.mark.long),
     pytest.param(
         "time_proportioning:carrier", 784, "loop", "by a carrier from the start", marks=pytest.mark.long
     ),  # the form is exchanged for `latched`, too

@@ -35,7 +35,7 @@ from autotuner.core.diagnosis.search.joint.dynamics import (
     with_curve_in_loop,
     with_less_dead_time,
     with_process_beside_wave,
-    with_slow_or_switched_output,
+    with_slow_output,
     with_varying_dead_time,
 )
 from autotuner.core.diagnosis.search.joint.friction import (
@@ -46,6 +46,7 @@ from autotuner.core.diagnosis.search.joint.friction import (
 )
 from autotuner.core.diagnosis.search.joint.late_moves import late_instead, with_other_grids, with_uneven_updates
 from autotuner.core.diagnosis.search.joint.positions import with_positions
+from autotuner.core.diagnosis.search.joint.pulses import with_switched_output
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
     VISIBLE,
@@ -274,7 +275,8 @@ def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) 
         if any(is_noise(context, candidate) for candidate in found):
             return found
     late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
-    late += [*with_process_beside_wave(context, base, effects), *with_slow_or_switched_output(context, base, effects)]
+    late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
+    late += with_slow_output(context, base, effects)
     late += with_curve_in_loop(context, base, effects)
     late += with_curve_beside_a_load(context, base, effects)
     return [*found, *with_process_friction(context, base.best), *late]

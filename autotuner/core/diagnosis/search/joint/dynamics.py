@@ -67,15 +67,14 @@ CURVE = "curve"
 NEAR, CLOSER = 1.3, 0.97
 """Misfit of a start over that of the pair of lags alone up to which it is followed; and where a start far from the
 right size does nothing to the output, so that it is as near as the pair."""
-FAR_FROM_ALONE = {"time_proportioning": NEAR, "rate_limit": CLOSER}
-"""Effects of the output that keep the process alone far from what it is, and that ratio for each."""
+RATE_LIMIT = "rate_limit"
 SHORTEST = 0.5
 """Dead time, in samples, below which a variation of it moves nothing that a sample shows."""
 
 
 def with_less_dead_time(context: FitContext, origins: Sequence[Fitted], effects: Sequence[Effect]) -> list[Fitted]:
     """Return the first pair of lags with each effect that makes an answer late, fitted on all samples, where closer."""
-    pair = _free_pair(origins)
+    pair = free_pair(origins)
     if pair is None:
         return []
     late = [e for e in effects if e.makes_late and fits_beside(e, pair.problem.effects)]
@@ -90,7 +89,7 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     A wave that begins within the record is searched in the same way.
     """
     wave, late = form_of(effects, PERIODIC), form_of(effects, PERIODIC, "begins")
-    pair = _free_pair(base.origins)
+    pair = free_pair(base.origins)
     dataset = context.dataset
     if wave is None or late is None or pair is None or dataset.tuned or pair.problem.effects:
         return []
@@ -103,26 +102,24 @@ def with_process_beside_wave(context: FitContext, base: Base, effects: Sequence[
     moments = sorted({at for _, at in late.starts})
     late = replace(late, starts=[(math.log(line), at) for line in lines for at in moments])
     begun = _beside_each(context, pair, [late], _shapes(dataset))
-    return [*_closest(context, found, pair), *_closest(context, begun, pair)]
+    return [*closest(context, found, pair), *closest(context, begun, pair)]
 
 
-def with_slow_or_switched_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return a time-proportioned output, and a limited rate, each with a pair of lags that is searched for beside it.
+def with_slow_output(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
+    """Return a limited rate with a pair of lags that is searched for beside it.
 
-    The process alone lies far from the process behind a ripple, or behind an actuator that hardly arrives.
+    The process alone lies far from the process behind an actuator that hardly arrives.
     """
-    pair = _free_pair(base.origins)
+    pair, rates = free_pair(base.origins), [e for e in effects if e.name == RATE_LIMIT]
     if pair is None:
         return []
-    shapes = [
-        *_shapes(context.dataset),
-        *(o.theta[:3] for o in base.origins if o.problem.structure is pair.problem.structure),
-    ]
-    found = []
-    for name, most in FAR_FROM_ALONE.items():
-        of_name = [e for e in effects if e.name == name]
-        found += _closest(context, _beside_each(context, pair, of_name, shapes, most=most), pair)
-    return found
+    return closest(context, _beside_each(context, pair, rates, shapes_with(base), most=CLOSER), pair)
+
+
+def shapes_with(base: Base) -> list[FloatArray]:
+    """Return pairs of lags all over what a record can show, and those that are origins of the search."""
+    origins = [o for o in base.origins if o.problem.structure is SECOND_ORDER]
+    return [*_shapes(base.best.problem.dataset), *(o.theta[:3] for o in origins)]
 
 
 def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
@@ -130,7 +127,7 @@ def with_curve_in_loop(context: FitContext, base: Base, effects: Sequence[Effect
 
     A controller moves on where its actuator has ended: the process alone has to answer to that, and lies far away.
     """
-    pair = _free_pair(base.origins)
+    pair = free_pair(base.origins)
     if context.dataset.controller is None or pair is None or pair.problem.effects:
         return []
     curves = [*(e for e in effects if e.group == CURVE), *soft_limits(context.dataset)]
@@ -147,7 +144,7 @@ def with_curve_beside_a_load(context: FitContext, base: Base, effects: Sequence[
     A large wave of the PV is one. In a loop, the curve is found beside a load of free shape, which a disturbance then
     takes the place of.
     """
-    pair, curves = _free_pair(base.origins), [e for e in effects if e.group == CURVE]
+    pair, curves = free_pair(base.origins), [e for e in effects if e.group == CURVE]
     free, wave = free_load_of(effects), form_of(effects, PERIODIC)
     if context.dataset.tuned or pair is None or pair.problem.effects or not curves:
         return []
@@ -199,16 +196,26 @@ def _beside_each(
     `numbers` are those of an effect that the pair has, which comes after them in the row from output to PV; `most` is
     the misfit of a start over that of the pair up to which it is followed.
     """
-    tried = [
+    return [
+        fit(replace(c.problem, rows=context.coarse), c.theta, COARSE_STEPS, ENOUGH_FOR_RANKS)
+        for c in starts_beside(context, pair, effects, shapes, numbers)[:FOLLOWED]
+        if c.rms < most * pair.rms
+    ]
+
+
+def starts_beside(
+    context: FitContext,
+    pair: Fitted,
+    effects: Sequence[Effect],
+    shapes: Sequence[FloatArray],
+    numbers: Sequence[float] = (),
+) -> list[Fitted]:
+    """Return every start of effects beside every pair of lags on few samples, the closest first."""
+    return closest_first(
         fit(replace(pair.problem.with_effect(e), rows=context.screen), np.concatenate((shape, start, numbers)), 0)
         for e, shape in within(context.dataset.budget, product(effects, shapes))
         for start in e.starts
-    ]
-    return [
-        fit(replace(c.problem, rows=context.coarse), c.theta, COARSE_STEPS, ENOUGH_FOR_RANKS)
-        for c in closest_first(tried)[:FOLLOWED]
-        if c.rms < most * pair.rms
-    ]
+    )
 
 
 def _shapes(dataset: Dataset) -> list[FloatArray]:
@@ -220,13 +227,13 @@ def _shapes(dataset: Dataset) -> list[FloatArray]:
     ]
 
 
-def _closest(context: FitContext, found: Sequence[Fitted], pair: Fitted) -> list[Fitted]:
+def closest(context: FitContext, found: Sequence[Fitted], pair: Fitted) -> list[Fitted]:
     """Return the closest of these fitted on all samples, where it is closer than the pair of lags alone."""
     best = [refined(context, c) for c in closest_first(found)[:1]]
     return [c for c in best if is_physical(c) and c.rms < pair.rms]
 
 
-def _free_pair(origins: Sequence[Fitted]) -> Fitted | None:
+def free_pair(origins: Sequence[Fitted]) -> Fitted | None:
     """Return the first pair of lags whose values are not held."""
     return next((o for o in origins if o.problem.structure is SECOND_ORDER and o.problem.fixed is None), None)
 

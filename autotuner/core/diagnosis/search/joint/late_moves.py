@@ -135,7 +135,7 @@ def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitte
     in_forms = _in_clocked_forms(held)
     for parts, *around in GRIDS:
         tried = closest_first(
-            c for one in in_forms for c in _on_grids(context, one, parts if one is held else PARTS[:1], *around)
+            c for one in in_forms for c in on_grids(context, one, parts if one is held else PARTS[:1], *around)
         )
         as_near = [c for c in tried if c.rms < AS_NEAR * tried[0].rms]
         chosen = {id(c): c for c in (*_closest_forms(tried), best_on_both_parts(context, as_near)[0])}
@@ -158,7 +158,7 @@ def _closest_forms(ranked: Sequence[Fitted]) -> list[Fitted]:
     return first_of_each(ranked, lambda candidate: candidate.keys)[:FOLLOWED]
 
 
-def _on_grids(
+def on_grids(
     context: FitContext,
     held: Fitted,
     parts: Sequence[float],
