@@ -17,7 +17,7 @@ from autotuner.core.diagnosis.effects.actuator.friction import (
     slipped,
     stiction,
 )
-from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, rounded, saturations
+from autotuner.core.diagnosis.effects.actuator.saturation import approached, map_levels, rounded, saturations
 from autotuner.core.diagnosis.effects.actuator.static_curve import static_curves
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import (
     actuator_effects,
@@ -298,6 +298,16 @@ def test_a_rounded_limit_is_the_simulators_and_its_own_mirror(u, width, high):
     assert rounded(-u, -high - 20.0, -high, width) == pytest.approx(
         -rounded(u, high, high + 20.0, width), abs=40.0 * width * math.exp(-20.0 / width) + 1e-9
     )
+
+
+@QUICK
+@given(levels, st.floats(-60.0, -1.0), st.floats(1.0, 60.0))
+def test_a_smooth_limit_is_a_logistic_curve_between_its_ends(u, low, high):
+    """tanh(x) = 2/(1 + e^(-2 x)) - 1: slope 1 in the middle, and either end is approached, never passed."""
+    ours = approached(u, low, high)
+    logistic = scipy.special.expit(4.0 * (u - (low + high) / 2.0) / (high - low))
+    assert ours == pytest.approx(low + (high - low) * logistic, abs=1e-9 * (high - low))
+    assert low <= ours.min() <= ours.max() <= high
 
 
 def effects_of(recording):

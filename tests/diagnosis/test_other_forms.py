@@ -15,6 +15,8 @@ FORMS = [
     ("static_nonlinearity:S-shaped", 770, "relay", "S-shaped"),
     ("static_nonlinearity:power", 773, "random", "power"),
     ("saturation:rounded knee", 775, "steps", "high, soft"),
+    ("saturation:tanh", 795, "relay", "smooth"),
+    ("saturation:tanh", 796, "steps", "smooth"),
     ("nonlinear_loss:exponential", 775, "random", "exponential of the last store"),
     ("nonlinear_loss:radiation", 775, "relay", "radiation of the last store"),
     ("nonlinear_loss:outflow", 788, "random", "outflow of the last store"),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator.saturation import map_levels
+from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, smooth_limits
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ ROUNDING = 1e-9
 
 
 def characteristics(dataset: Dataset) -> tuple[Effect, ...]:
-    """Return the curves; a power of the output only where that is above zero throughout."""
+    """Return the curves, and limits without a corner; a power of the output only where that stays above zero."""
     swing, rest = dataset.swing, dataset.output0
     low = float(dataset.data.held.levels.min())
 
@@ -64,6 +64,7 @@ def characteristics(dataset: Dataset) -> tuple[Effect, ...]:
         *([_curve(dataset, "power", (Searched("n", 0.2, 5.0, 1e-4),), power, POWERS)] if above_zero else []),
         _curve(dataset, "equal percentage", (Searched("range", -5.0, 5.0, 1e-4),), equal_percentage, RANGES),
         _curve(dataset, "S-shaped", about, s_shaped, list(product(MIDDLES, SPREADS))),
+        smooth_limits(dataset),
     )
 
 

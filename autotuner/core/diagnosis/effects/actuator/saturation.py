@@ -2,6 +2,7 @@
 
     hard   x = min(max(u, low), high)
     soft   the corner rounded over a width s:  low + s ln(1 + e^{(u - low)/s}) and its mirror
+    smooth x = m + s tanh((u - m)/s),  m = (low + high)/2,  s = (high - low)/2
 
 `u`, `x` output units as deviation from the first output; limits are searched as shares of the swing from its ends.
 """
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched
+from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
@@ -28,19 +30,26 @@ CORNER = 0.05
 SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
 """Limits to begin from, in swings; in a loop most of the output's range may lie beyond one."""
 SIDES = ("low", "high")
+SMOOTH, FARTHEST = "smooth", -2.0
+"""What limits without a corner are called, and how far beyond the output one may lie, in swings: there the other one
+alone bends a curve.
+"""
 WIDTH = Searched("width", 0.005, 0.5, 1e-4)
 """Width of a rounded corner, in swings."""
 
 
 def saturations(dataset: Dataset, other_forms: tuple[Effect, ...] = ()) -> tuple[Effect, ...]:
-    """Return limits above, below, on both sides, and rounded ones on both sides; `other_forms` are of the last."""
+    """Return limits above, below, on both sides, and rounded ones on both sides; `other_forms` are of the last.
+
+    Smooth ones are tried in place of those on both sides.
+    """
     one, two = [(share,) for share in SHARES], [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)]
     rounded_off = [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)]
     soft = _limits(dataset, "soft", (*_of(SIDES, 0.6), WIDTH), rounded_off)
     return (
         _limits(dataset, "high", _of(("high",), 0.9), one),
         _limits(dataset, "low", _of(("low",), 0.9), one),
-        _limits(dataset, "both", _of(SIDES, 0.6), two),
+        replace(_limits(dataset, "both", _of(SIDES, 0.6), two), other_forms=(smooth_limits(dataset),)),
         replace(soft, other_forms=other_forms),
     )
 
@@ -49,6 +58,13 @@ def soft_limits(dataset: Dataset) -> list[Effect]:
     """Return one rounded limit, above or below: curves that are searched where no hard limit explains the record."""
     starts = [(share, 2 * CORNER) for share in SHARES]
     return [_limits(dataset, f"{side}, soft", (*_of((side,), 0.9), WIDTH), starts) for side in SIDES]
+
+
+def smooth_limits(dataset: Dataset) -> Effect:
+    """Return limits that are approached all the way, like those of an amplifier: they may lie beyond the output."""
+    inside = tuple(Searched(side, FARTHEST, 0.6, 1e-4) for side in SIDES)
+    starts = [(0.1, 0.1), (-0.2, -0.2), (0.1, -0.3), (-0.3, 0.1)]
+    return _limits(dataset, SMOOTH, inside, starts)
 
 
 def _of(sides: Sequence[str], most: float) -> tuple[Searched, ...]:
@@ -76,6 +92,8 @@ def _limits(dataset: Dataset, form: str, searched: tuple[Searched, ...], starts:
     def position(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
         limits = ends(p)
         low, high = limits.get("low", -math.inf), limits.get("high", math.inf)
+        if form == SMOOTH:
+            return map_levels(held, lambda u: approached(u, low, high))
         if "width" in names:
             return map_levels(held, lambda u: rounded(u, low, high, p[-1] * swing))
         return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
@@ -100,4 +118,11 @@ def rounded(u: FloatArray, low: float, high: float, width: float) -> FloatArray:
     """Return a limiter whose corners are rounded over `width`; infinite where it has no limit on a side."""
     up = low + width * np.logaddexp(0.0, (u - low) / width) if math.isfinite(low) else u
     result: FloatArray = high - width * np.logaddexp(0.0, (high - up) / width) if math.isfinite(high) else up
+    return result
+
+
+def approached(u: FloatArray, low: float, high: float) -> FloatArray:
+    """Return a limiter without corners, of slope 1 in the middle."""
+    middle, half = (low + high) / 2.0, max(high - low, SMALLEST_DIVISOR) / 2.0
+    result: FloatArray = middle + half * np.tanh((u - middle) / half)
     return result
