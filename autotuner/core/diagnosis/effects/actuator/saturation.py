@@ -30,6 +30,11 @@ CORNER = 0.05
 SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
 """Limits to begin from, in swings; in a loop most of the output's range may lie beyond one."""
 SIDES = ("low", "high")
+FARTHEST = -2.0
+"""How far beyond the output a smooth limit may lie, in swings: there the other one alone bends a curve."""
+SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
+"""Limits to begin from, in swings; in a loop most of the output's range may lie beyond one."""
+SIDES = ("low", "high")
 SMOOTH, FARTHEST = "smooth", -2.0
 """What limits without a corner are called, and how far beyond the output one may lie, in swings: there the other one
 alone bends a curve.
@@ -45,11 +50,12 @@ def saturations(dataset: Dataset, other_forms: tuple[Effect, ...] = ()) -> tuple
     """
     one, two = [(share,) for share in SHARES], [(0.1, 0.1), (0.25, 0.25), (0.1, 0.3), (0.3, 0.1)]
     rounded_off = [(0.1, 0.1, CORNER), (0.2, 0.2, 2 * CORNER), (0.0, 0.2, CORNER), (0.2, 0.0, CORNER)]
-    soft = _limits(dataset, "soft", (*_of(SIDES, 0.6), WIDTH), rounded_off)
+    both = _limits(dataset, "both", _of(SIDES, 0.6), two)
+    soft = _limits(dataset, "soft", (*_of(SIDES, 0.6), WIDTH), rounded_off, rounded)
     return (
         _limits(dataset, "high", _of(("high",), 0.9), one),
         _limits(dataset, "low", _of(("low",), 0.9), one),
-        replace(_limits(dataset, "both", _of(SIDES, 0.6), two), other_forms=(smooth_limits(dataset),)),
+        replace(both, other_forms=(smooth_limits(dataset),)),
         replace(soft, other_forms=other_forms),
     )
 
@@ -57,14 +63,13 @@ def saturations(dataset: Dataset, other_forms: tuple[Effect, ...] = ()) -> tuple
 def soft_limits(dataset: Dataset) -> list[Effect]:
     """Return one rounded limit, above or below: curves that are searched where no hard limit explains the record."""
     starts = [(share, 2 * CORNER) for share in SHARES]
-    return [_limits(dataset, f"{side}, soft", (*_of((side,), 0.9), WIDTH), starts) for side in SIDES]
+    return [_limits(dataset, f"{side}, soft", (*_of((side,), 0.9), WIDTH), starts, rounded) for side in SIDES]
 
 
 def smooth_limits(dataset: Dataset) -> Effect:
     """Return limits that are approached all the way, like those of an amplifier: they may lie beyond the output."""
     inside = tuple(Searched(side, FARTHEST, 0.6, 1e-4) for side in SIDES)
-    starts = [(0.1, 0.1), (-0.2, -0.2), (0.1, -0.3), (-0.3, 0.1)]
-    return _limits(dataset, SMOOTH, inside, starts)
+    return _limits(dataset, "smooth", inside, [(0.1, 0.1), (-0.2, -0.2), (0.1, -0.3), (-0.3, 0.1)], approached)
 
 
 def _of(sides: Sequence[str], most: float) -> tuple[Searched, ...]:
@@ -78,25 +83,32 @@ def map_levels(held: HeldInput, curve: Callable[[FloatArray], FloatArray]) -> He
     return HeldInput(held.times, levels - levels[..., :1])
 
 
-def _limits(dataset: Dataset, form: str, searched: tuple[Searched, ...], starts: Sequence[tuple[float, ...]]) -> Effect:
+def hard(u: FloatArray, low: float, high: float) -> FloatArray:
+    """Return a limiter; infinite where it has no limit on a side."""
+    return np.clip(u, low, max(high, low))
+
+
+def _limits(
+    dataset: Dataset,
+    form: str,
+    searched: tuple[Searched, ...],
+    starts: Sequence[tuple[float, ...]],
+    limiter: Callable[..., FloatArray] = hard,
+) -> Effect:
     """Return limits that stay where they are in another part of the record, whatever the output does there."""
-    names, swing = [one.name for one in searched], dataset.swing
-    levels = dataset.data.held.levels
+    swing, levels = dataset.swing, dataset.data.held.levels
     lowest, highest = float(levels.min()), float(levels.max())
+    sides = [one.name for one in searched if one.name in SIDES]
 
     def ends(p: Sequence[float]) -> dict[str, float]:
-        known = dict(zip(names, p, strict=True))
+        known = dict(zip(sides, p, strict=False))
         within = {"low": lowest + known.get("low", 0.0) * swing, "high": highest - known.get("high", 0.0) * swing}
-        return {side: end for side, end in within.items() if side in names}
+        return {side: end for side, end in within.items() if side in sides}
 
     def position(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
         limits = ends(p)
         low, high = limits.get("low", -math.inf), limits.get("high", math.inf)
-        if form == SMOOTH:
-            return map_levels(held, lambda u: approached(u, low, high))
-        if "width" in names:
-            return map_levels(held, lambda u: rounded(u, low, high, p[-1] * swing))
-        return map_levels(held, lambda u: np.clip(u, low, max(high, low)))
+        return map_levels(held, lambda u: limiter(u, low, high, *(width * swing for width in p[len(sides) :])))
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
         return {side: dataset.output0 + end for side, end in ends(p).items()}
