@@ -141,7 +141,7 @@ def with_other_grids(context: FitContext, found: Sequence[Fitted]) -> list[Fitte
         chosen = {id(c): c for c in (*_closest_forms(tried), best_on_both_parts(context, as_near)[0])}
         fitted = closest_first(refined(context, c) for c in chosen.values())
         grids, in_forms = [*grids, *fitted], _closest_forms(fitted)
-        if is_noise(context, fitted[0]):
+        if all(is_noise(context, c) for c in in_forms):  # the right form may come to its grid later than a near one
             break
     return [c for c in grids if is_physical(c)]
 
