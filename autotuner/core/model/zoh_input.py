@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,8 +109,9 @@ def smooth_input(t: FloatArray, output: FloatArray) -> HeldInput:
     return HeldInput(np.concatenate((t[:1], edges)), np.concatenate(([0.0], means, [output[-1] - output[0]])))
 
 
+@lru_cache(maxsize=8)
 def unit_step(start_s: float) -> HeldInput:
-    """Return an output that rises by 1 at the start of the recording."""
+    """Return an output that rises by 1 at the start of the recording. Cached, with its steps and spans."""
     return HeldInput(np.array([start_s, start_s]), np.array([0.0, 1.0]))
 
 

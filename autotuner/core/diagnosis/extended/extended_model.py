@@ -154,27 +154,35 @@ class Extended:
         self, view: View, theta: FloatArray, background: FloatArray | None = None
     ) -> tuple[FloatArray, list[int]]:
         """Return the same of a view at `theta`; the background is given where the process is as it was."""
-        columns = self._response(view, self.split(theta)[2])
-        added = self.added(view, theta)
+        _, _, values = self.split(theta)
+        columns, added = self._response(view, values), self._added(view, values)
         background_columns = self._background(view) if background is None else [background]
         return np.column_stack([*columns, *(c for of in added for c in of), *background_columns]), list(map(len, added))
 
-    def added(self, view: View, theta: FloatArray) -> list[list[FloatArray]]:
+    def columns_at(self, thetas: Sequence[FloatArray]) -> list[list[FloatArray]]:
+        """Return the columns at each `theta` of one process but for the background: at once where inputs move alike."""
+        views = [self.view(theta, self.rows) for theta in thetas]
+        values = [self.split(theta)[2] for theta in thetas]
+        responses = self._responses(views, values)
+        return [
+            [*response, *(c for of in self._added(view, p) for c in of)]
+            for view, p, response in zip(views, values, responses, strict=True)
+        ]
+
+    def _added(self, view: View, values: Sequence[Sequence[float]]) -> list[list[FloatArray]]:
         """Return the columns that each effect adds."""
-        _, _, values = self.split(theta)
         return [
             list(effect.columns(view, p)) if effect.columns is not None else []
             for effect, p in zip(self.effects, values, strict=True)
         ]
 
-    def responses(self, views: Sequence[View], thetas: Sequence[FloatArray]) -> list[list[FloatArray]]:
-        """Return the response to the output of each view of one process: at once where the output moves alike."""
-        inputs = [view.input for view in views]
+    def _responses(self, views: Sequence[View], values: Sequence[Sequence[Sequence[float]]]) -> list[list[FloatArray]]:
+        """Return the response to the output in each view of one process."""
+        first, times = views[0], views[0].input.times
         changed = any(effect.response is not None for effect in self.effects)
-        if changed or any(held.times is not inputs[0].times for held in inputs):
-            return [self._response(view, self.split(theta)[2]) for view, theta in zip(views, thetas, strict=True)]
-        together = HeldInput(inputs[0].times, np.array([held.levels for held in inputs]))
-        first = views[0]
+        if changed or any(view.input.times is not times for view in views):
+            return list(map(self._response, views, values))
+        together = HeldInput(times, np.array([view.input.levels for view in views]))
         return list(map(list, zip(*first.motion.forced(together, first.t - first.delay_s)[0], strict=True)))
 
     def _response(self, view: View, values: Sequence[Sequence[float]]) -> list[FloatArray]:
@@ -210,15 +218,11 @@ def _positioned(effect: Effect, held: HeldInput, values: tuple[float, ...], data
     return effect.position(held, values, dataset)
 
 
-FROM_THE_START = unit_step(0.0)
-"""An input from before the record on."""
-
-
 def _from_state(view: View) -> list[FloatArray]:
     """Return the motions from an initial state, and the answer to an input before the record; again at each restart."""
     starts = np.array(view.dataset.restarts_s)
     since = view.t - starts[np.searchsorted(starts, view.t, side="right") - 1]
-    return [*view.motion.free(since), view.motion.forced(FROM_THE_START, since - view.delay_s)[0][0]]
+    return [*view.motion.free(since), view.motion.forced(unit_step(0.0), since - view.delay_s)[0][0]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -165,28 +165,28 @@ def _scored(context: FitContext, tangent: Tangent, effect: Effect) -> list[Start
         return []
     problem = replace(base.problem.with_effect(effect), rows=context.screen)
     thetas = [theta_with(base, problem, effect, values) for values in effect.starts]
-    scores = _scores_of_columns if effect.only_adds else _scores_of_change
+    if effect.only_adds:
+        scores = _scores_of_columns(tangent, effect, problem, thetas[0])
+    else:
+        scores = _scores_of_change(tangent, problem, thetas)
     return [
         Start(effect, problem, theta, float(as_it_is), float(at_any_strength))
-        for theta, as_it_is, at_any_strength in zip(thetas, *scores(tangent, effect, problem, thetas), strict=True)
+        for theta, as_it_is, at_any_strength in zip(thetas, *scores, strict=True)
     ]
 
 
 def _scores_of_change(
-    tangent: Tangent, _effect: Effect, problem: Extended, thetas: Sequence[FloatArray]
+    tangent: Tangent, problem: Extended, thetas: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    views = [problem.view(theta, problem.rows) for theta in thetas]
-    added = [[c for of in problem.added(view, theta) for c in of] for view, theta in zip(views, thetas, strict=True)]
-    answers = problem.responses(views, thetas)
-    columns = _stacked([[*own, *more] for own, more in zip(answers, added, strict=True)], problem.rows.size)
+    columns = _stacked(problem.columns_at(thetas), problem.rows.size)
     return tangent.moving.mean_squares(columns), tangent.at_any_strength.mean_squares(columns)
 
 
 def _scores_of_columns(
-    tangent: Tangent, effect: Effect, problem: Extended, thetas: Sequence[FloatArray]
+    tangent: Tangent, effect: Effect, problem: Extended, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     assert effect.columns is not None  # noqa: S101 - what changes neither position nor response adds columns
-    view = problem.view(thetas[0], problem.rows)  # it does not depend on the numbers of the effect
+    view = problem.view(theta, problem.rows)  # it does not depend on the numbers of the effect
     added = [list(effect.columns(view, values)) for values in effect.starts]
     left = tangent.as_it_is.mean_squares(_stacked(added, problem.rows.size))
     scores = np.where([len(columns) > 0 for columns in added], left, np.inf)

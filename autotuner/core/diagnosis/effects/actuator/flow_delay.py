@@ -68,12 +68,15 @@ def flow_delay(dataset: Dataset) -> Effect:
     most = min((1.0 - LEAST_FLOW) / max(-lowest, 1e-9), MOST_CHANGE)
     least = max(-(1.0 - LEAST_FLOW) / max(highest, 1e-9), -MOST_CHANGE)
 
+    def numbers(p: Sequence[float]) -> Sequence[float]:
+        return p if len(p) > 1 else (*p, *STRAIGHT)
+
     def transport(held: HeldInput, p: Sequence[float], delay_s: float, _: Dataset) -> HeldInput:
-        change, bend, share = (*p, *STRAIGHT)[:3]
+        change, bend, share = numbers(p)
         return carried(held, change / swing, share * delay_s, bend)
 
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
-        change, bend, share = (*p, *STRAIGHT)[:3]
+        change, bend, share = numbers(p)
         slowest = float(flow_at(change * np.array([highest, lowest]), bend).min())
         found = {"flow_per_output": change / swing, "longest_over_first": 1.0 + share * (1.0 / slowest - 1.0)}
         return {**found, "power": 1.0 / bend, "share_of_dead_time": share} if len(p) > 1 else found

@@ -32,13 +32,6 @@ SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
 SIDES = ("low", "high")
 FARTHEST = -2.0
 """How far beyond the output a smooth limit may lie, in swings: there the other one alone bends a curve."""
-SHARES = (0.05, 0.12, 0.2, 0.3, 0.42, 0.58, 0.75)
-"""Limits to begin from, in swings; in a loop most of the output's range may lie beyond one."""
-SIDES = ("low", "high")
-SMOOTH, FARTHEST = "smooth", -2.0
-"""What limits without a corner are called, and how far beyond the output one may lie, in swings: there the other one
-alone bends a curve.
-"""
 WIDTH = Searched("width", 0.005, 0.5, 1e-4)
 """Width of a rounded corner, in swings."""
 
