@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.declared import lagged
+from autotuner.core.diagnosis.effects.sawtooth import sawtooth
 from autotuner.core.diagnosis.effects.waves import periodic_disturbances
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.step_responses import Lag
@@ -60,6 +61,7 @@ def disturbance_effects(
         *((_bias_step(dataset, jumps),) if jumps else ()),
         *_drifts(dataset),
         *periodic_disturbances(dataset, residuals),
+        *sawtooth(dataset, residuals),
         *(
             e
             for name, values in dataset.extra.items()

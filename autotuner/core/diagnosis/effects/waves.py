@@ -2,7 +2,6 @@
 
     + a cos(w t) + b sin(w t)      on the PV; with harmonics (a triangle, a relay), growing with time, or begun late;
                                    of few periods in a record, a slow wave of the surroundings (`ambient`)
-    + a (2 frac(w t/2pi - f) - 1)  on the PV, a sawtooth: filling and a siphon, ice and its defrosting
     u + A sin(w t + f)             at the input of the process, for one that answers to its own PV: dry friction
     u + A sgn(sin(w t + f))        the same, switched
 
@@ -15,7 +14,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import linprog
 
 from autotuner.core.diagnosis.effects.free_forms import shape_of
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
@@ -44,8 +42,6 @@ FEWEST_OF_A_SLOW_WAVE, SLOW = 0.4, (0.5, 0.9, 1.5, 2.5)
 """Fewest periods of a slow wave in a record, with less of which none would turn, and its starts."""
 SHOWN = 100
 """Points by which the shape of a slow wave is judged."""
-OUTSTANDING, FEWEST_JUMPS = 8.0, 4
-"""Least ratio of a jump to the median difference of samples, 5.4 sigmas of white noise; fewest jumps of a sawtooth."""
 STEPS_OF_A_WAVE = 24
 """Steps in which a period at the input is written, of at least a sample: the largest harmonic of them is 4 %."""
 LARGEST_LOAD = 3.0
@@ -79,7 +75,7 @@ def periodic_disturbances(dataset: Dataset, residuals: Sequence[FloatArray]) -> 
             sizes,
             form=form,
             columns=columns,
-            price=_price(dataset),
+            price=price_of_a_period(dataset),
         )
 
     return (
@@ -87,7 +83,6 @@ def periodic_disturbances(dataset: Dataset, residuals: Sequence[FloatArray]) -> 
         waves((1, 2, 3), "harmonics"),
         waves((1,), "growing"),
         _late_wave(dataset, lines),
-        *_sawtooth(dataset, residuals),
     )
 
 
@@ -110,71 +105,8 @@ def _late_wave(dataset: Dataset, lines: Sequence[float]) -> Effect:
         lambda p, c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(*c[:2]), "from_s": p[1] * span},
         form="begins",
         columns=columns,
-        price=_price(dataset) + math.log(len(BEGINS)),
+        price=price_of_a_period(dataset) + math.log(len(BEGINS)),
     )
-
-
-def _sawtooth(dataset: Dataset, residuals: Sequence[FloatArray]) -> tuple[Effect, ...]:
-    """Return a sawtooth, where a residual has jumps at equal distances: only those show its period well enough.
-
-    On the fitted part the search leaves each jump between the two samples where the record has it: a jump that crosses
-    a sample would stop it.
-    """
-    found = next((jumps for residual in residuals if (jumps := _regular_jumps(dataset, residual)) is not None), None)
-    if found is None:
-        return ()
-    (start_s, period_s), lows, highs = found
-    steps = 1e-3 * (highs - lows)
-
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        known = np.floor((view.t - start_s) / period_s)
-        turns = (view.t - p[0]) / p[1]
-        return [2.0 * (turns - np.where(view.t <= dataset.fitted_until_s, known, np.floor(turns))) - 1.0]
-
-    return (
-        Effect(
-            "periodic_disturbance",
-            Place.DISTURBANCE,
-            (
-                Searched("jump_s", lows[0], highs[0], steps[0]),
-                Searched("period_s", lows[1], highs[1], steps[1]),
-            ),
-            [(start_s, period_s)],
-            lambda p, c, _g: {"period_s": p[1], "amplitude": abs(c[0])},
-            form="sawtooth",
-            columns=columns,
-            price=_price(dataset),
-        ),
-    )
-
-
-def _regular_jumps(dataset: Dataset, residual: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return the time of the middle jump and the period, s, and the least and largest values of both; None without any.
-
-    A jump lies between two samples. Of all times and periods that place each jump between its own two, those are
-    returned that keep the largest distance `d` from all samples: `t_k + d <= t_0 + n_k T <= t_(k+1) - d`.
-    """
-    rows = np.flatnonzero(dataset.fitted)
-    t, difference = dataset.data.t[rows], np.diff(residual[rows])
-    difference = difference - np.median(difference)
-    jumps = np.flatnonzero(np.abs(difference) > OUTSTANDING * np.median(np.abs(difference)))
-    if jumps.size < FEWEST_JUMPS or abs(np.sum(np.sign(difference[jumps]))) < jumps.size:
-        return None
-    middles = (t[jumps] + t[jumps + 1]) / 2.0
-    turns = np.round((middles - middles[jumps.size // 2]) / np.median(np.diff(middles)))
-    ones = np.ones(jumps.size)
-    sides = np.vstack((np.column_stack((-ones, -turns, ones)), np.column_stack((ones, turns, ones))))
-    limits = np.concatenate((-t[jumps], t[jumps + 1]))
-
-    def farthest(*wanted: float) -> FloatArray | None:
-        return linprog(np.negative(wanted), sides[:, : len(wanted)], limits, bounds=(None, None)).x
-
-    middle = farthest(0.0, 0.0, 1.0)
-    if middle is None or middle[2] <= 0.0:
-        return None
-    ends = [farthest(*way) for way in ((-1.0, 0.0), (0.0, -1.0), (1.0, 0.0), (0.0, 1.0))]
-    first, shortest, last, longest = (end for end in ends if end is not None)
-    return middle[:2], np.array((first[0], shortest[1])), np.array((last[0], longest[1]))
 
 
 def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
@@ -215,7 +147,7 @@ def wave_at_the_input(dataset: Dataset, *, switched: bool = False) -> Effect:
         lambda p, _c, _g: {"period_s": span / math.exp(p[0]), "amplitude": math.hypot(p[1], p[2]) * swing},
         form="switched at the input" if switched else "at the input",
         load=load,
-        price=_price(dataset),
+        price=price_of_a_period(dataset),
     )
 
 
@@ -262,7 +194,7 @@ def _periods(dataset: Dataset) -> Searched:
     return Searched("log_periods", math.log(fewest_periods(dataset)), math.log(_most_periods(dataset)), 1e-5)
 
 
-def _price(dataset: Dataset) -> float:
+def price_of_a_period(dataset: Dataset) -> float:
     """Return the price of a period: as many are tried as the record can show."""
     return math.log(max(_most_periods(dataset), 2.0))
 

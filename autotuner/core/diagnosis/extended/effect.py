@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
-    from autotuner.core.model.arrays import FloatArray
+    from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.model.step_responses import Motion
     from autotuner.core.model.zoh_input import HeldInput
 
@@ -155,6 +155,9 @@ class Effect:
         whether they agree with the name: a zero on the right side, a mode slower than the process. True without it.
     lateness_s : callable, optional
         From the values of `searched`, the standard deviation of the lateness of moves that nothing was fitted to, s.
+    seen_again : callable, optional
+        From samples and the PV there beside everything else, the effect as those show it, None where they do not: for
+        numbers that no fit can move, since they are known to a sample.
     blur : callable, optional
         From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
     other_forms : tuple of Effect
@@ -188,6 +191,7 @@ class Effect:
     reads_as: Callable[[Sequence[float]], str] | None = None
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     lateness_s: Callable[[Sequence[float]], float] | None = None
+    seen_again: Callable[[IntArray, FloatArray], Effect | None] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
     other_forms: tuple[Effect, ...] = ()
     next_terms: tuple[Effect, ...] = ()

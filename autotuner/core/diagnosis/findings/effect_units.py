@@ -21,7 +21,7 @@ UNITS: dict[str, str] = {
     "curvature_per_output": "1/output",
     "third": "1/output²",
     "square_per_pv": "1/PV",
-    "loss_per_pv": "1/PV",
+    **dict.fromkeys(("loss_per_pv", "growth_per_pv"), "1/PV"),
     "cubic_per_pv2": "1/PV²",
     "relative_change_per_h": "1/h",
     "gain": "PV per unit of its column",

@@ -67,21 +67,49 @@ def closest_exchanged(
     steps: int,
 ) -> Fitted | None:
     """Return the explanation with the closest of some effects in place of one, by a few samples; then fitted to all."""
+    tried = _by_few_samples(context, chosen, effect, others, steps)
+    return _on_all_samples(context, closest_first(tried)[0]) if tried else None
+
+
+def _by_few_samples(
+    context: FitContext,
+    chosen: Fitted,
+    effect: Effect,
+    others: Iterable[tuple[Effect, Sequence[float]]],
+    steps: int,
+) -> list[Fitted]:
+    """Return the explanation with each of some effects in place of one, from given values, by a few samples."""
     thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-    tried = [
-        exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)
-    ]
-    if not tried:
-        return None
-    closest = closest_first(tried)[0]
-    return fit(replace(closest.problem, rows=context.fine), closest.theta, FINE_STEPS)
+    return [exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)]
+
+
+@lru_cache(maxsize=64)
+def _on_all_samples(context: FitContext, candidate: Fitted) -> Fitted:
+    """Return a candidate fitted to all samples, however its fit on a few of them ended. Cached."""
+    return fit(replace(candidate.problem, rows=context.fine), candidate.theta, FINE_STEPS)
+
+
+def in_another_form(context: FitContext, chosen: Fitted, effect: Effect) -> Fitted | None:
+    """Return the explanation with one effect in the closest of its other forms; None without any."""
+    coarse = _in_other_forms(context, chosen, effect)
+    return _on_all_samples(context, coarse[0]) if coarse else None
+
+
+def in_near_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
+    """Return the explanation with one effect in each of its other forms that comes about as near as the closest one."""
+    coarse = _in_other_forms(context, chosen, effect)
+    return [_on_all_samples(context, c) for c in coarse if c.rms < AS_NEAR * coarse[0].rms]
 
 
 @lru_cache(maxsize=16)
-def in_another_form(context: FitContext, chosen: Fitted, effect: Effect) -> Fitted | None:
-    """Return the explanation with one effect in the closest of its other forms; None without any. Cached."""
-    starts = ((form, start) for form in _others_of(effect) for start in _starts_from(chosen, effect, form))
-    return closest_exchanged(context, chosen, effect, starts, QUICK_STEPS)
+def _in_other_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
+    """Return the explanation with one effect in each of its other forms, by a few samples, the closest first. Cached."""
+    tried = [
+        closest_first(_by_few_samples(context, chosen, effect, starts, QUICK_STEPS))
+        for form in _others_of(effect)
+        if (starts := [(form, start) for start in _starts_from(chosen, effect, form)])
+    ]
+    return closest_first(of[0] for of in tried if of)
 
 
 @lru_cache(maxsize=64)

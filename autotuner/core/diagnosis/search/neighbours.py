@@ -25,7 +25,7 @@ from autotuner.core.diagnosis.extended.both_parts import to_both_parts
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
-from autotuner.core.diagnosis.search.exchange import first_number, in_another_form
+from autotuner.core.diagnosis.search.exchange import first_number, in_near_forms
 from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, within
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
@@ -58,8 +58,8 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
     if chosen.rms > VISIBLE * noise_of(context, chosen):
         return ((1.0, final),)
     lag = one_lag_more(context, chosen)
-    others = (in_another_form(context, chosen, effect) for effect in chosen.problem.effects)
-    pool = (*pool, *(other for other in others if other is not None and is_physical(other)))
+    others = (other for effect in chosen.problem.effects for other in in_near_forms(context, chosen, effect))
+    pool = (*pool, *(other for other in others if is_physical(other)))
     near = [*_alike(context, chosen, pool), *([] if lag is None else [lag]), *_with_next_terms(context, chosen)]
     found = [to_both_parts(context, f) for f in near]
     samples = final.residual.size / context.colour(final)

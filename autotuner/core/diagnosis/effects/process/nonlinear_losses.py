@@ -7,6 +7,11 @@ above that at which the loss ends, over the gain: p = 1/2 free outflow (Torricel
 2 any other loss to second order (free convection, p = 1.25 to 1.33). Evaporation grows like the pressure of the vapour,
 by a factor for every degree (Clausius, Clapeyron), which is the limit of large p:  h(w) = (e^{2 b w} - 1)/(2 b).
 
+    w = G[v + s (e^{c w} - 1 - c w)/c]
+
+has a reaction that heats, and runs faster by a factor for every degree (Arrhenius; Semenov's approximation): at rest
+its heat takes up the part s/(1 + s) of what the loss grows with the PV.
+
     w = G[v - (a w^2 + b w^3)/s]
 
 is the free form: a loss, or a spring where the process rings, that grows more (b > 0: hardening, Duffing) or less than
@@ -43,6 +48,11 @@ EXPONENTIAL, LARGEST_EXPONENT = "exponential", 30.0
 """Form that is tried in place of another one, and exponent beyond which no store of a record is."""
 POWERS = {**FORMS, EXPONENTIAL: math.inf}
 """Power of each loss by one number."""
+REACTION, MOST_HEAT = "reaction", 5.0
+"""Form with the heat of a reaction, and its largest growth over that of what is left of the loss: beyond, it runs
+away."""
+HEATED = ((0.5, 0.2), (-0.5, 0.2))
+"""Numbers of it to begin from: growth over the swing, either way, and heat."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
 LOSS = "loss"
@@ -65,16 +75,22 @@ def losses(dataset: Dataset, base: Fitted) -> tuple[Effect, ...]:
     rings = isinstance(motion, Pair) and motion.n**2 < RINGS * motion.m
     free = _cubic(dataset, base)
     free = replace(free, name="nonlinear_stiffness") if rings else free
-    everywhere = _or_by_another_law([*(_loss(dataset, form) for form in FORMS), free], _loss(dataset, EXPONENTIAL))
+    everywhere = _or_by_another_law([*(_loss(dataset, form) for form in FORMS), free], *_exponentials(dataset))
     if rings:
         return everywhere
     alone = [_cubic(dataset, base, last=True), *(_loss(dataset, form, last=True) for form in AT_THE_END)]
-    return (*everywhere, *_or_by_another_law(alone, _loss(dataset, EXPONENTIAL, last=True)))
+    return (*everywhere, *_or_by_another_law(alone, *_exponentials(dataset, last=True)))
 
 
-def _or_by_another_law(known: Sequence[Effect], exponential: Effect) -> tuple[Effect, ...]:
-    """Return the losses at one place, in whose place those of one number are tried."""
-    laws = [_with_few_starts(law) for law in (*known, exponential) if law.searched[-1].name == LOSS]
+def _exponentials(dataset: Dataset, *, last: bool = False) -> tuple[Effect, Effect]:
+    """Return the loss and the heat that grow exponentially, as they are tried where another one was found."""
+    return _with_few_starts(_loss(dataset, EXPONENTIAL, last=last)), _reaction(dataset, last=last)
+
+
+def _or_by_another_law(known: Sequence[Effect], *others: Effect) -> tuple[Effect, ...]:
+    """Return the losses at one place, in whose place those of one number and some others are tried."""
+    of_one_number = [law for law in known if law.searched[-1].name == LOSS]
+    laws = [*map(_with_few_starts, of_one_number), *others]
     return tuple(replace(loss, other_forms=tuple(law for law in laws if law.form != loss.form)) for loss in known)
 
 
@@ -151,6 +167,36 @@ def _loss(dataset: Dataset, form: str, *, last: bool = False) -> Effect:
         price=1.0 if last else 0.0,
         group="loss",
         takes_third=last,
+    )
+
+
+def _reaction(dataset: Dataset, *, last: bool = False) -> Effect:
+    """Return a loss less the heat of a reaction; with `last` that of the last of two stores in a row alone."""
+    swing = dataset.swing
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        c, heat = p[-2] / swing, p[-1]
+        if abs(c) < SMALLEST / swing:
+            return view.forced(view.input)
+        added, slope = _exponential_excess(c)
+        return _answer(view, (lambda w: -heat * added(w), lambda w: -heat * slope(w)), p[:-2])
+
+    return Effect(
+        "nonlinear_loss",
+        Place.PROCESS,
+        (
+            *((SLOW_LAST,) if last else ()),
+            Searched("growth", -3.0, 3.0, 1e-4),
+            Searched("heat", 0.0, MOST_HEAT, 1e-4),
+        ),
+        [(which, *start) for which in WHICH for start in HEATED] if last else HEATED,
+        lambda p, _c, g: {"heat_share": p[-1] / (1.0 + p[-1]), "growth_per_pv": p[-2] / (swing * g)},
+        form=f"{REACTION} {LAST_ALONE}" if last else REACTION,
+        response=response,
+        price=2.0 if last else 1.0,
+        group="loss",
+        takes_third=last,
+        means=lambda p, _c, g, _o: p[-2] * g > 0.0,
     )
 
 
