@@ -29,7 +29,7 @@ from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.sensor import Grid
 from autotuner.core.diagnosis.search.detectability import blind_spots
 from autotuner.core.model.process import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped
-from autotuner.core.model.structures import FOPDT
+from autotuner.core.model.structures import FOPDT, PURE_INTEGRATOR
 from autotuner.errors import InputError
 
 PLANT = Fopdt(2.0, 10.0, 4.0)
@@ -37,9 +37,9 @@ PLAY = FoundEffect("backlash", "actuator", {"width": 2.0}, {}, 1.0)
 LOAD = FoundEffect("load_step", "disturbance", {"size": 2.0, "at_s": 50.0}, {}, 1.0)
 
 
-def steps(levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0), sigma=0.02, lag_s=5.0, gain=2.0, of_output=1.0):
+def steps(levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0), sigma=0.02, lag_s=5.0, gain=2.0, of_output=1.0, each=40):
     """Steps behind a lag, 40 s each."""
-    output = np.repeat(levels, 40)
+    output = np.repeat(levels, each)
     pv = np.zeros(output.size)
     for k in range(1, output.size):
         pv[k] = pv[k - 1] - np.expm1(-1.0 / lag_s) * (gain * output[k - 1] - pv[k - 1])
@@ -238,6 +238,25 @@ def test_more_noise_hides_larger_effects(words):
     sizes = [size_of(spots_of(steps(), noise), words) for noise in (0.02, 0.5, 3.0)]
     assert sizes == sorted(sizes)
     assert sizes[0] < sizes[-1] or (words.startswith("sticking") and sizes[0] > 5.0)  # the smallest step hides as much
+
+
+def test_a_slow_mode_hides_in_quick_moves_and_shows_where_the_output_is_held():
+    """Moves back and forth average to nothing over the ten lags that a slow mode takes."""
+    held, quick = steps((0.0, 10.0, 3.0, -6.0), each=150), steps((0.0, *(8.0, -8.0) * 20), each=15)
+    shown, hidden = (size_of(spots_of(r, 0.1), "slow modes of some 50 s up to") for r in (held, quick))
+    assert 0.0 < shown < 5.0
+    assert hidden > 20.0
+
+
+def test_a_process_that_integrates_hides_no_share_of_a_gain():
+    recording = steps()
+    level = np.cumsum(recording.output - 40.0) / 20.0
+    noise = np.random.default_rng(3).normal(0.0, 0.02, level.size)
+    dataset = dataset_of(Recording(recording.t, recording.output, 80.0 + level + noise))
+    context = bench_of(dataset)
+    start = np.zeros(len(PURE_INTEGRATOR.shape) + 1)
+    spots = blind_spots(context, fit(Extended(dataset, PURE_INTEGRATOR, (), context.coarse), start), 0.02)
+    assert not any("slow modes" in spot.words for spot in spots)
 
 
 def test_hidden_sizes_are_in_the_units_of_the_output():

@@ -4,14 +4,13 @@
     t_k < t_0 + n_k T <= t_k+1                                 each jump lies between two samples
     (t_j - t_k+1)/(n_j - n_k) <= T <= (t_j+1 - t_k)/(n_j - n_k)   for all pairs j > k, with which there is such a t_0
 
-The ramps and the number of jumps show the period `T`. The first jump `t_0` moves them as an offset does: the jumps alone
-show it, and it is taken from the middle of the times that a period leaves to it. The `n` of the samples by which the
-jumps are known is known, too: a jump that crossed a sample would stop a search.
+Ramps and jumps show the period `T`. The time `t_0` moves the ramps as an offset does: the jumps alone show it, and it
+is the middle of the times that a period leaves to it. Where the jumps are known, so is the `n` of every sample: a jump
+that crossed a sample would stop a search.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 

@@ -17,24 +17,28 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import friction_effects
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, rate_limit, updated_every
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.search.judge import VISIBLE
 from autotuner.core.diagnosis.search.screen import fits_beside, theta_with
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
+from autotuner.core.model.step_responses import Lag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.model.arrays import FloatArray
 
 SHARES = (0.005, 0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
 """Sizes tried: bands in swings, update times and times of travel in fifths of the median time between moves."""
-GRAVE, GRAVE_TIME = 0.05, 0.3
-"""Shares from which a hidden effect is reported with the verdict: of bands and steps, and of times."""
+GRAVE, GRAVE_TIME, GRAVE_SHARE = 0.05, 0.3, 0.1
+"""Shares from which a hidden effect is reported with the verdict: of bands and steps, of times, and of the gain."""
+SLOWER = 10.0
+"""Time constant of a slow mode, such as that of a wall or a jacket, over the lags of the process."""
 FEW_LEVELS, FEW_TURNS, MANY_MOVES = 4, 2, 2000
 
 
@@ -79,7 +83,8 @@ def blind_spots(context: FitContext, chosen: Fitted, noise: float) -> list[Spot]
     if levels.size < FEW_LEVELS:
         few = "curves, limits and unequal directions of the actuator (the output takes too few levels)"
         spots.append(Spot(few, grave=True))
-    spots += _hidden(context, chosen, noise, _doubts(dataset, friction=not never_turns))
+    doubts = [*_doubts(dataset, friction=not never_turns), *_slow_mode(chosen)]
+    spots += _hidden(context, chosen, noise, doubts)
     pv = dataset.data.pv + dataset.pv0
     low, high = dataset.output0 + dataset.data.held.levels.min(), dataset.output0 + dataset.data.held.levels.max()
     reached = f"limits beyond what it reached (output {low:.4g} to {high:.4g}, PV {pv.min():.4g} to {pv.max():.4g})"
@@ -113,6 +118,32 @@ def _doubts(dataset: Dataset, *, friction: bool) -> list[_Doubt]:
     return doubts
 
 
+def _slow_mode(chosen: Fitted) -> list[_Doubt]:
+    """Return a slow mode that takes up a share of the gain of a process that settles; empty of any other one."""
+    structure = chosen.problem.structure
+    if structure.stiffness <= 0.0:
+        return []
+    shape, _, _ = chosen.problem.split(chosen.theta)
+    slow = Lag(SLOWER * shape[0])
+
+    def response(view: View, p: Sequence[float]) -> FloatArray:
+        answer = slow.forced(view.input, view.t - view.delay_s)[0][0]
+        result: FloatArray = (1.0 - p[0]) * view.forced(view.input) + p[0] * answer
+        return result
+
+    mode = Effect(
+        "slow_mode",
+        Place.PROCESS,
+        (Searched("share", 0.0, 1.0),),
+        [(share,) for share in SHARES],
+        lambda p, _c, _g: {"percent": 100.0 * p[0]},
+        response=response,
+        group="soak",
+    )
+    words = f"slow modes of some {_rounded(slow.T):g} s up to {{size:g}} % of the gain"
+    return [_Doubt(words, "percent", mode, mode.starts, GRAVE_SHARE)]
+
+
 def _hidden(context: FitContext, chosen: Fitted, noise: float, doubts: Sequence[_Doubt]) -> list[Spot]:
     """Return the largest hidden size of each effect; omit effects whose sizes are all visible."""
     rows = context.coarse
@@ -132,5 +163,10 @@ def _hidden(context: FitContext, chosen: Fitted, noise: float, doubts: Sequence[
             if math.sqrt(float(added @ added) / rows.size) < most:
                 largest = share, doubt.effect.sizes(values, (), float(chosen.linear[0]))[doubt.size]
         if largest is not None:
-            spots.append(Spot(doubt.words.format(size=float(f"{largest[1]:.2g}")), grave=largest[0] > doubt.grave))
+            spots.append(Spot(doubt.words.format(size=_rounded(largest[1])), grave=largest[0] > doubt.grave))
     return spots
+
+
+def _rounded(value: float) -> float:
+    """Return a value to two digits."""
+    return float(f"{value:.2g}")

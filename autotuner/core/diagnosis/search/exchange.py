@@ -80,7 +80,9 @@ def _by_few_samples(
 ) -> list[Fitted]:
     """Return the explanation with each of some effects in place of one, from given values, by a few samples."""
     thinned = replace(chosen, problem=replace(chosen.problem, rows=context.coarse))
-    return [exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)]
+    return [
+        exchanged(thinned, effect, other, values, steps) for other, values in within(context.dataset.budget, others)
+    ]
 
 
 @lru_cache(maxsize=64)
@@ -103,7 +105,7 @@ def in_near_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[F
 
 @lru_cache(maxsize=16)
 def _in_other_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
-    """Return the explanation with one effect in each of its other forms, by a few samples, the closest first. Cached."""
+    """Return the explanation with one effect in each other form, by a few samples, the closest first. Cached."""
     tried = [
         closest_first(_by_few_samples(context, chosen, effect, starts, QUICK_STEPS))
         for form in _others_of(effect)
