@@ -207,14 +207,15 @@ def hard_limit(d: Draw) -> Hidden:
 @form("saturation", "tanh", textbook=False)
 def soft_limits(d: Draw) -> Hidden:
     width = d.between(0.6, 1.0) * d.swing
-    return Hidden(actuator=Curve(lambda v: REST + width * math.tanh((v - REST) / width)))
+    limits = {"low": REST - width, "high": REST + width}
+    return Hidden(actuator=Curve(lambda v: REST + width * math.tanh((v - REST) / width)), sizes=limits)
 
 
 @form("saturation", "rounded knee", textbook=False)
 def rounded_knee(d: Draw) -> Hidden:
     top, width = REST + d.between(0.1, 0.5) * d.swing, 0.15 * d.swing
     knee = Curve(lambda v: v - width * math.log1p(math.exp(min((v - top) / width, 50.0))))
-    return Hidden(actuator=knee, own_gain=True)
+    return Hidden(actuator=knee, sizes={"high": top}, own_gain=True)
 
 
 @form("rate_limit", "equal", textbook=True)
@@ -559,8 +560,9 @@ def pipe(d: Draw) -> Hidden:
 
 @form("flow_delay", "pipe behind a curve", textbook=False)
 def pipe_behind_a_curve(d: Draw) -> Hidden:
-    n = d.between(1.5, 2.5)
-    return piped(d.plant, d.between(0.6, 0.9) * d.plant.D, lambda v, _t: max(1.0 + v / REST, 0.0) ** n)
+    n, share = d.between(1.5, 2.5), d.between(0.6, 0.9)
+    pipe = piped(d.plant, share * d.plant.D, lambda v, _t: max(1.0 + v / REST, 0.0) ** n)
+    return replace(pipe, sizes={"power": n, "share_of_dead_time": share})
 
 
 @form("dead_time_jump", "at once", textbook=True)
@@ -621,7 +623,8 @@ def reaction(d: Draw) -> Hidden:
     """Return the plant whose last state is heated by itself, by a factor e more with every `width` above the rest."""
     width, share = d.between(1.5, 2.5) * abs(d.plant.K) * d.swing, d.between(0.1, 0.22)
     hidden = bent(d.plant, lambda x: -share * width * math.expm1(min(x / width, 2.0)))
-    return replace(hidden, plant=replace(hidden.plant or d.plant, K=d.plant.K / (1.0 - share)))
+    sizes = {"heat_share": share, "growth_per_pv": 1.0 / width}
+    return replace(hidden, plant=replace(hidden.plant or d.plant, K=d.plant.K / (1.0 - share)), sizes=sizes)
 
 
 def returning(plant: Plant, share: float, later_s: float, tank_s: float = 0.0) -> Plant:

@@ -48,9 +48,8 @@ def _as_seen_again(fitted: Fitted, rows: IntArray) -> Fitted:
     columns, pv = problem.columns(fitted.theta, rows)[0], problem.dataset.data.pv[rows]
     effects, parts = [], [fitted.theta[:size]]
     for effect, p, count in zip(problem.effects, problem.split(fitted.theta)[2], fitted.counts, strict=True):
-        beside = pv - np.delete(columns, np.s_[at : at + count], axis=1) @ np.delete(
-            fitted.linear, np.s_[at : at + count]
-        )
+        own = np.s_[at : at + count]
+        beside = pv - np.delete(columns, own, axis=1) @ np.delete(fitted.linear, own)
         again = None if effect.seen_again is None else effect.seen_again(rows, beside)
         effects.append(effect if again is None else again)
         parts.append(np.array(p if again is None else again.starts[0]))

@@ -91,12 +91,6 @@ def _on_all_samples(context: FitContext, candidate: Fitted) -> Fitted:
     return fit(replace(candidate.problem, rows=context.fine), candidate.theta, FINE_STEPS)
 
 
-def in_another_form(context: FitContext, chosen: Fitted, effect: Effect) -> Fitted | None:
-    """Return the explanation with one effect in the closest of its other forms; None without any."""
-    coarse = _in_other_forms(context, chosen, effect)
-    return _on_all_samples(context, coarse[0]) if coarse else None
-
-
 def in_near_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
     """Return the explanation with one effect in each of its other forms that comes about as near as the closest one."""
     coarse = _in_other_forms(context, chosen, effect)

@@ -36,7 +36,7 @@ from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import that_stick
-from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_another_form, values_of
+from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_near_forms, values_of
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
@@ -152,12 +152,33 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
 
 @lru_cache(maxsize=4)
 def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with each effect in another of its forms where both parts speak for it. Cached."""
+    """Return the explanation with each effect in another of its forms where both parts together speak for it. Cached."""
     for effect in chosen.problem.effects:
-        other = in_another_form(context, chosen, effect)
-        if other is not None:
-            chosen = _plainer(context, chosen, other, 0.0 if other.size < chosen.size else -POSITIVE)
+        others = [other for other in in_near_forms(context, chosen, effect) if is_physical(other)]
+        chosen = _likeliest(context, [chosen, *others])
     return chosen
+
+
+def _likeliest(context: FitContext, forms: Sequence[Fitted]) -> Fitted:
+    """Return the form that both parts together speak for, the first unless another one is clearly likelier.
+
+    The criterion is of the fitted part; what follows was predicted, and counts as it is.
+    """
+    first, *others = forms
+    inflated = context.colour(first)
+    inflated_later = min(context.inflation(context.held_out_residual(form)) for form in forms)
+
+    def unlikely(form: Fitted) -> float:
+        later = context.held_out.size / inflated_later * math.log(_squares_later(context, form))
+        return context.criterion(form, inflated) + later
+
+    best = min(others, key=unlikely, default=first)
+    more = 0.0 if best.size < first.size else -POSITIVE
+    return best if unlikely(best) <= unlikely(first) + more else first
+
+
+def _squares_later(context: FitContext, form: Fitted) -> float:
+    return context.held_out_error(form) ** 2 + context.dataset.floor**2
 
 
 def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:
