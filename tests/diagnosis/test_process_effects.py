@@ -1,6 +1,7 @@
 """Effects of the process against the simulator's physics, general solvers and closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -388,6 +389,33 @@ def test_a_gain_that_settles_follows_an_exponential(plant):
     assert left(at_the_truth(recording, plant)) > 0.05
     assert fitted.sizes() == [pytest.approx({"relative_change": -0.4, "settles_over_s": 80.0}, rel=0.02)]
     assert pytest.approx(plant.K, rel=0.002) == fitted.process().K
+
+
+@pytest.mark.parametrize("plant", [LAG, PAIR])
+@pytest.mark.parametrize(
+    ("form", "p", "curve", "expected"),
+    [
+        ("", (), lambda t: t / 299.0, {"relative_change_per_h": -0.4 / 299.0 * 3600.0}),
+        ("jump ", (0.4,), lambda t: t > 0.4 * 299.0, {"relative_change": -0.4, "at_s": 0.4 * 299.0}),
+        (
+            "settling ",
+            (math.log(80.0 / 299.0),),
+            lambda t: -np.expm1(-t / 80.0),
+            {"relative_change": -0.4, "settles_over_s": 80.0},
+        ),
+    ],
+)
+def test_a_gain_may_change_about_another_output_than_the_first(plant, form, p, curve, expected):
+    """A part of all that the output makes of the PV is lost, and that is nothing at an output of 10 % only."""
+    u, fine = moves(), np.arange(3000) * 0.1
+    arrived = np.where(fine < plant.D, 0.0, u[np.maximum(fine - plant.D + 1e-9, 0.0).astype(int)])
+    alone = record(plant, u)
+    lost = record(replace(plant, D=0.0), (arrived + OUTPUT0 - 10.0) * 0.4 * curve(fine + 0.05), sample_s=0.1)
+    recording = Recording(alone.t, alone.output, alone.pv - lost.pv[::10] + PV0)
+    fitted = with_effect(recording, plant, f"gain_drift:{form}about another output", p)
+    assert left(fitted) < 2e-3
+    assert left(with_effect(recording, plant, f"gain_drift:{form}".strip(" :"), p)) > 0.05
+    assert fitted.sizes() == [pytest.approx({**expected, "about_output": 10.0}, rel=0.02)]
 
 
 def test_an_input_times_time_has_its_means():

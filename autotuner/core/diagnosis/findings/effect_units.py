@@ -8,7 +8,18 @@ from __future__ import annotations
 OUTPUT, PV = "output", "PV"
 UNITS: dict[str, str] = {
     **dict.fromkeys(
-        ("band", "jump", "change_over_swing", "no_flow_at", "coulomb", "constant", "low", "high", "range"),
+        (
+            "band",
+            "jump",
+            "change_over_swing",
+            "no_flow_at",
+            "about_output",
+            "coulomb",
+            "constant",
+            "low",
+            "high",
+            "range",
+        ),
         OUTPUT,
     ),
     **dict.fromkeys(("amplitude", "typical_size", "limit_above_rest", "pv_in_all", "pv_off_at_start"), PV),

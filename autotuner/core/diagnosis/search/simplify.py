@@ -152,7 +152,7 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
 
 @lru_cache(maxsize=4)
 def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with each effect in another of its forms where both parts together speak for it. Cached."""
+    """Return the explanation with each effect in another form where both parts together speak for it. Cached."""
     for effect in chosen.problem.effects:
         others = [other for other in in_near_forms(context, chosen, effect) if is_physical(other)]
         chosen = _likeliest(context, [chosen, *others])

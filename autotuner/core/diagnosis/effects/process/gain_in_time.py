@@ -6,7 +6,10 @@
                          sum_j c_j H_j(t)   free: straight pieces between a few knots
 
 with `v` the input where it arrives: the dead time is before the process. (Kern, Seaton, British Chemical Engineering 4,
-1959, for the form that settles.)
+1959, for the form that settles.) What changes with the gain is all that the output makes of the PV, which is nothing at
+another output `u*` than the first one, `u0`, as a rule, such as zero:
+
+    + c G[(v + u0 - u*) s(t)]
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.effects.free_forms import by_chance, moment_of
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
-from autotuner.core.model.zoh_input import HeldInput
+from autotuner.core.model.zoh_input import HeldInput, unit_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
     Curve = Callable[[FloatArray], FloatArray]
+    CurveOf = Callable[[Sequence[float]], tuple[Curve, Sequence[float]]]
 
 PIECES = 100
 """Steps in which a curve of time is written."""
@@ -54,49 +58,74 @@ def times_curve(held: HeldInput, span_s: float, until_s: float, curve: Curve, al
     end = max(until_s, float(held.times[-1]) + piece)
     edges = np.union1d(held.times, np.append(np.arange(held.times[0], end, piece), also))
     levels = held.at(edges) * curve((edges + np.append(edges[1:], end)) / 2.0)
-    return HeldInput(edges, levels - levels[..., :1])
+    return HeldInput(np.append(edges[0], edges), np.concatenate((0.0 * levels[..., :1], levels), axis=-1))
 
 
 def _changed(view: View, curve: Curve, also: Sequence[float] = ()) -> FloatArray:
     """Return the response to the input, as it arrives, times a curve of time, or several."""
-    arriving = view.position.shifted(np.array(view.delay_s))
+    return _response(view, view.position.shifted(np.array(view.delay_s)), curve, also)
+
+
+def _response(view: View, arriving: HeldInput, curve: Curve, also: Sequence[float]) -> FloatArray:
     until_s = float(view.dataset.data.t[-1])
     return view.forced(times_curve(arriving, view.dataset.span_s, until_s, curve, also), delayed=False)
 
 
+def _about_any_output(dataset: Dataset, form: Effect, curve_of: CurveOf) -> Effect:
+    """Return a form in whose place another output is tried about which the gain changes.
+
+    `curve_of` returns of its numbers the curve of time, and the times at which that jumps.
+    """
+
+    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [_changed(view, *curve_of(p)), _response(view, unit_step(0.0), *curve_of(p))]
+
+    def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
+        return {**form.sizes(p, c, g), "about_output": dataset.output0 - c[1] / (c[0] or math.inf)}
+
+    words = f"{form.form} about another output".strip()
+    return replace(form, other_forms=(replace(form, form=words, columns=columns, sizes=sizes),))
+
+
 def _straight(dataset: Dataset) -> Effect:
     span = dataset.span_s
-    return Effect(
+
+    def curve_of(_p: Sequence[float]) -> tuple[Curve, Sequence[float]]:
+        return lambda t: t / span, ()
+
+    straight = Effect(
         "gain_drift",
         Place.PROCESS,
         (),
         [()],
         lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
-        columns=lambda view, _p: [_changed(view, lambda t: t / span)],
+        columns=lambda view, p: [_changed(view, *curve_of(p))],
         group="gain in time",
     )
+    return _about_any_output(dataset, straight, curve_of)
 
 
 def _settling(dataset: Dataset) -> Effect:
     span = dataset.span_s
 
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [_changed(view, lambda t: -np.expm1(-t / (math.exp(p[0]) * span)))]
+    def curve_of(p: Sequence[float]) -> tuple[Curve, Sequence[float]]:
+        return lambda t: -np.expm1(-t / (math.exp(p[0]) * span)), ()
 
     def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
         return {"relative_change": c[0] / g, "settles_over_s": math.exp(p[0]) * span}
 
-    return Effect(
+    settling = Effect(
         "gain_drift",
         Place.PROCESS,
         (Searched("log_settling", math.log(0.02), math.log(2.0), 1e-4),),
         [(math.log(share),) for share in SETTLING],
         sizes,
         form="settling",
-        columns=columns,
+        columns=lambda view, p: [_changed(view, *curve_of(p))],
         group="gain in time",
         means=lambda _p, c, g, _shape: 1.0 + c[0] / g > 0.0,
     )
+    return _about_any_output(dataset, settling, curve_of)
 
 
 def _free(dataset: Dataset) -> Effect:
@@ -123,19 +152,20 @@ def _jump(dataset: Dataset) -> Effect:
     span = dataset.span_s
     moment, starts = moment_of(dataset, MOMENTS)
 
-    def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
+    def curve_of(p: Sequence[float]) -> tuple[Curve, Sequence[float]]:
         at_s = p[0] * span
-        return [_changed(view, lambda t: (t > at_s).astype(np.float64), (at_s,))]
+        return lambda t: (t > at_s).astype(np.float64), (at_s,)
 
-    return Effect(
+    jump = Effect(
         "gain_drift",
         Place.PROCESS,
         (moment,),
         [(s,) for s in starts],
         lambda p, c, g: {"relative_change": c[0] / g, "at_s": p[0] * span},
         form="jump",
-        columns=columns,
+        columns=lambda view, p: [_changed(view, *curve_of(p))],
         price=math.log(12.0),
         group="gain in time",
         means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and by_chance(dataset, p[0] * span),
     )
+    return _about_any_output(dataset, jump, curve_of)
