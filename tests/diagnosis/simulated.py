@@ -12,9 +12,9 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted
 from autotuner.core.diagnosis.record.dataset import dataset_of
-from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER
+from autotuner.core.model.structures import FOPDT, INTEGRATING, SECOND_ORDER, THIRD_ORDER
 from autotuner.core.recording import Recording
-from autotuner_sim import Fopdt, Integrating, SopdtOverdamped, SopdtUnderdamped, SteppedPlant
+from autotuner_sim import Fopdt, Integrating, LagChain, SopdtOverdamped, SopdtUnderdamped, SteppedPlant
 
 OUTPUT0, PV0 = 40.0, 100.0
 LAG = Fopdt(2.0, 12.0, 3.0)
@@ -49,6 +49,9 @@ def structure_of(plant):
         return FOPDT, [plant.T]
     if isinstance(plant, Integrating):
         return INTEGRATING, [plant.T]
+    if isinstance(plant, LagChain):
+        one, two, third = plant.lags
+        return THIRD_ORDER, [one + two, one * two / (one + two), third]
     n, m = (plant.n, plant.m) if hasattr(plant, "n") else (plant.T1 + plant.T2, plant.T1 * plant.T2)
     return SECOND_ORDER, [n, m / n]
 

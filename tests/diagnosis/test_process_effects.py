@@ -261,7 +261,10 @@ def test_a_slow_mode_is_a_second_plant_beside_the_first(plant):
     assert fitted.is_meaningful()
 
 
-@pytest.mark.parametrize(("plant", "lags"), [(LAG, (LAG.T,)), (PAIR, (PAIR.T1, PAIR.T2))])
+@pytest.mark.parametrize(
+    ("plant", "lags"),
+    [(LAG, (LAG.T,)), (PAIR, (PAIR.T1, PAIR.T2)), (LagChain(1.2, (18.0, 7.0, 4.0), 5.0), (18.0, 7.0, 4.0))],
+)
 def test_a_recycle_is_the_sum_of_all_that_passes_once_twice_and_more_often(plant, lags):
     """What passes the process `k + 1` times has its lags as often, and comes `k` return times later."""
     u, share, back_s = moves(), 0.5, 37.4

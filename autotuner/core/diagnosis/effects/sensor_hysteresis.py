@@ -58,6 +58,7 @@ def sensor_hysteresis(dataset: Dataset) -> tuple[Effect, Effect]:
             lambda p, _c, g: {"width": p[0] * swing * abs(g), **({"creep_s": math.exp(p[1])} if form else {})},
             form=form,
             response=response,
+            takes_third=True,
             means=lambda p, _c, _g, shape: not form or math.exp(p[1]) > SLOWER * max(shape, default=0.0),
         )
 

@@ -110,10 +110,10 @@ def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
     return richer if richer is not None and coloured_noise(context, richer) else chosen
 
 
-def with_third_lag_beside_a_loss(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with a third lag of the process beside a loss of its last store, where both parts show it.
+def with_third_lag_in_response(context: FitContext, chosen: Fitted) -> Fitted:
+    """Return the explanation with a third lag of the process in the response of an effect, where both parts show it.
 
-    No further effect can be one: the loss takes the place of the response of the process.
+    No further effect can be one beside such: a loss, a recycle or the play of a sensor has the response of the process.
     """
     problem = chosen.problem
     takes_one = problem.structure is SECOND_ORDER and any(e.takes_third for e in problem.effects)

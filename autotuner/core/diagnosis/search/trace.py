@@ -88,7 +88,7 @@ from autotuner.core.diagnosis.search.simplify import (
     with_smooth_course,
     with_steps,
     with_third_lag,
-    with_third_lag_beside_a_loss,
+    with_third_lag_in_response,
 )
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 
@@ -172,7 +172,7 @@ def trace(
         following, accepted = _following(context, base, best, found)
         if accepted:
             following = with_smooth_course(context, _from_its_process(context, following, declared), effects)
-            following = with_third_lag_beside_a_loss(context, with_other_forms(context, following))
+            following = with_third_lag_in_response(context, with_other_forms(context, following))
             following = _or_with_third_lag(context, following)
             best, effects = following, catalogue(following, context.coarse, declared)  # it leaves other traces
         steps.append(best)

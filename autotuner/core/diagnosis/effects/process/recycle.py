@@ -13,7 +13,7 @@ recursion: with `Z(q) = B/A S(q)` the response to it, and `S = r F/L (W0 + Z)` w
 
     Z (A L - r B F) = r B F W0,   F = (1 - f) q^-n + f q^-(n + 1),   (1 - c) R = (n + f) h
 
-and `F` also has the numerator, `L` the denominator of the tank.
+and `F` also has the numerator, `L` the denominator of the tank; a third lag is in `B/A` in the same way.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
-from autotuner.core.model.step_responses import Lag, Pair
+from autotuner.core.model.step_responses import Lag, Pair, PairAndLag
 from autotuner.core.model.zoh_input import recurrence
 
 if TYPE_CHECKING:
@@ -57,7 +57,9 @@ def recycle(dataset: Dataset) -> tuple[Effect, ...]:
     def sizes(p: Sequence[float], _c: Sequence[float], _g: float) -> Mapping[str, float]:
         return {"share": p[0], "return_time_s": math.exp(p[1])}
 
-    pipe = Effect("recycle", Place.PROCESS, (share, after), starts, sizes, response=response, group="soak")
+    pipe = Effect(
+        "recycle", Place.PROCESS, (share, after), starts, sizes, response=response, group="soak", takes_third=True
+    )
     in_tank = Searched("in_tank", 0.0, MOST_IN_TANK, 1e-3)
     tank = replace(
         pipe, form="through a tank", searched=(share, after, in_tank), starts=[(*start, IN_TANK) for start in starts]
@@ -68,14 +70,15 @@ def recycle(dataset: Dataset) -> tuple[Effect, ...]:
 def _returning(view: View, share: float, after_s: float, in_tank: float = 0.0) -> FloatArray:
     """Return the response of the process of unit gain with a share of it back after some time."""
     motion = view.motion
-    if not isinstance(motion, Lag | Pair):
+    if not isinstance(motion, Lag | Pair | PairAndLag):
         return view.forced(view.input)
     grid, h = np.linspace(0.0, float(view.t[-1]), POINTS + 1, retstep=True)
     straight = motion.forced(view.input, grid - view.delay_s)[0][0]
-    b, a = _of_lines(motion, float(h))
-    if in_tank > 0.0:
-        tank = _of_lines(Lag(in_tank * after_s), float(h))
-        b, a = np.convolve(b, tank[0]), np.convolve(a, tank[1])
+    row: list[Lag | Pair] = [Lag(in_tank * after_s)] if in_tank > 0.0 else []
+    row += [Pair(motion.m, motion.n), Lag(motion.T)] if isinstance(motion, PairAndLag) else [motion]
+    b = a = np.ones(1)
+    for numerator, denominator in (_of_lines(part, float(h)) for part in row):
+        b, a = np.convolve(b, numerator), np.convolve(a, denominator)
     late = (1.0 - in_tank) * after_s / h
     n = int(late)
     back = np.concatenate((np.zeros(n), np.convolve(b, share * np.array([1.0 - late + n, late - n]))))
