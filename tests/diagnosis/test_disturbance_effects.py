@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from hypothesis import given
+from hypothesis import strategies as st
 
 from autotuner.core.diagnosis.effects.disturbance import (
     behind_a_lag,
@@ -15,6 +17,7 @@ from autotuner.core.diagnosis.effects.disturbance import (
 from autotuner.core.diagnosis.effects.free_forms import _splines, _turns, free_forms
 from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time, times_curve
+from autotuner.core.diagnosis.effects.sawtooth import RegularJumps, sawtooth
 from autotuner.core.diagnosis.effects.waves import lines_of_all, spectral_lines, wave_at_the_input
 from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.dataset import dataset_of
@@ -216,6 +219,35 @@ def test_a_sawtooth_begins_from_the_jumps_of_a_residual_and_keeps_them(size):
     fitted = at_the_truth(recording, LAG, (effect, (30.7,)))
     assert left(fitted) < 1e-9
     assert fitted.sizes() == [pytest.approx({"period_s": 30.7, "amplitude": abs(size)})]
+
+
+@given(st.floats(0.0, 1.0), st.floats(7.0, 40.0), st.integers(0, 2**32 - 1))
+def test_a_period_between_its_bounds_places_every_jump_between_its_two_samples(phase, period_s, seed):
+    t = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, 300))
+    jumps = RegularJumps.of(t, np.floor(t / period_s - phase) + 1e-6 * t)
+    assert jumps is not None
+    assert jumps.shortest_s <= period_s * (1.0 + 1e-12)
+    assert jumps.longest_s >= period_s * (1.0 - 1e-12)
+    for share in (0.0, 0.3, 1.0):
+        between_s = jumps.shortest_s + share * (jumps.longest_s - jumps.shortest_s)
+        times = jumps.first_s(between_s) + jumps.turns * between_s
+        assert np.all(times >= jumps.before_s - 1e-9)
+        assert np.all(times <= jumps.after_s + 1e-9)
+
+
+def test_the_jumps_of_a_sawtooth_are_seen_again_on_more_samples():
+    """The longer they are, the narrower is what they leave of the period."""
+    t = np.arange(600.0)
+    wave = 2.0 * scipy.signal.sawtooth(2.0 * np.pi * (t - 7.3) / 29.37)
+    alone = record(LAG, moves(600))
+    dataset = dataset_of(Recording(t, alone.output, alone.pv + wave))
+    noise = np.random.default_rng(1).normal(0.0, 0.05, t.size)
+    (few,) = sawtooth(dataset, [wave + noise])
+    seen = few.seen_again(np.arange(t.size), wave + noise)
+    (low, high), (least, most) = ((e.searched[0].low, e.searched[0].high) for e in (few, seen))
+    assert low <= least <= 29.37 <= most <= high
+    assert most - least < high - low
+    assert few.seen_again(np.arange(t.size), noise) is None
 
 
 @pytest.mark.parametrize("irregular", [0.0, 4.0])

@@ -174,6 +174,31 @@ def test_a_loss_of_the_last_of_two_stores_is_that_of_a_general_solver(form, twic
     assert fitted.sizes()[0]["loss_per_pv"] == pytest.approx(b / PAIR.K, rel=2e-3)
 
 
+@pytest.mark.parametrize("slow_last", [None, 0.0, 1.0])
+def test_the_heat_of_a_reaction_is_that_of_a_general_solver(slow_last):
+    """What is left of the loss, of slope 1, less what the heat grows by over its slope at rest."""
+    u, c, heat = moves(), 0.05, 0.4
+    plant = LAG if slow_last is None else PAIR
+    lags = (LAG.T,) if slow_last is None else (PAIR.T2, PAIR.T1) if slow_last else (PAIR.T1, PAIR.T2)
+    edges = [(0.0, 0.0), *((k + plant.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+
+    def left_of_loss(w):
+        return w - heat * (math.expm1(c * w) - c * w) / c
+
+    def f(x, v):
+        inputs = [v, *x[:-1]]
+        return [(inputs[k] - (left_of_loss(x[k]) if k == len(lags) - 1 else x[k])) / T for k, T in enumerate(lags)]
+
+    t = np.arange(300.0)
+    recording = Recording(t, OUTPUT0 + u, PV0 + plant.K * solved(f, [0.0] * len(lags), edges, t)[len(lags) - 1])
+    which, form = ((), "reaction") if slow_last is None else ((slow_last,), "reaction of the last store")
+    fitted = with_effect(recording, plant, f"nonlinear_loss:{form}", (*which, c * SWING, heat))
+    assert left(fitted) < 2e-3
+    assert left(at_the_truth(recording, plant)) > 0.012
+    assert fitted.sizes() == [pytest.approx({"heat_share": 0.4 / 1.4, "growth_per_pv": c / plant.K}, rel=2e-3)]
+    assert fitted.is_meaningful()
+
+
 def test_a_spring_is_that_of_a_general_solver():
     """m y'' + n y' + y + a y^2 + b y^3 = K u, behind the dead time."""
     u, K, a, b = moves(), RINGING.K, 0.01, 0.002
