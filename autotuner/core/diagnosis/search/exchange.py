@@ -98,14 +98,14 @@ def in_near_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[F
 
 
 @lru_cache(maxsize=16)
-def _in_other_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
+def _in_other_forms(context: FitContext, chosen: Fitted, effect: Effect) -> tuple[Fitted, ...]:
     """Return the explanation with one effect in each other form, by a few samples, the closest first. Cached."""
     tried = [
         closest_first(_by_few_samples(context, chosen, effect, starts, QUICK_STEPS))
         for form in _others_of(effect)
         if (starts := [(form, start) for start in _starts_from(chosen, effect, form)])
     ]
-    return closest_first(of[0] for of in tried if of)
+    return tuple(closest_first(of[0] for of in tried if of))
 
 
 @lru_cache(maxsize=64)

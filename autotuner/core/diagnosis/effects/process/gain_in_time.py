@@ -58,7 +58,7 @@ def times_curve(held: HeldInput, span_s: float, until_s: float, curve: Curve, al
     end = max(until_s, float(held.times[-1]) + piece)
     edges = np.union1d(held.times, np.append(np.arange(held.times[0], end, piece), also))
     levels = held.at(edges) * curve((edges + np.append(edges[1:], end)) / 2.0)
-    return HeldInput(np.append(edges[0], edges), np.concatenate((0.0 * levels[..., :1], levels), axis=-1))
+    return HeldInput(np.append(edges[0], edges), np.concatenate((np.zeros_like(levels[..., :1]), levels), axis=-1))
 
 
 def _changed(view: View, curve: Curve, also: Sequence[float] = ()) -> FloatArray:

@@ -49,10 +49,10 @@ EXPONENTIAL, LARGEST_EXPONENT = "exponential", 30.0
 POWERS = {**FORMS, EXPONENTIAL: math.inf}
 """Power of each loss by one number."""
 REACTION, MOST_HEAT = "reaction", 5.0
-"""Form with the heat of a reaction, and its largest growth over that of what is left of the loss: beyond, it runs
-away."""
+"""Form with the heat of a reaction, and how much more of it a degree makes at most, over what is left of the loss: five
+sixths of the loss. With all of it, the process runs away."""
 HEATED = ((0.5, 0.2), (-0.5, 0.2))
-"""Numbers of it to begin from: growth over the swing, either way, and heat."""
+"""Exponent over the swing, either way, and heat to begin from."""
 LAST_ALONE = "of the last store"
 """What the form of such a loss is called."""
 LOSS = "loss"
