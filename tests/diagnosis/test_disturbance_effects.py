@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from autotuner.core.diagnosis.effects.disturbance import (
@@ -222,6 +222,7 @@ def test_a_sawtooth_begins_from_the_jumps_of_a_residual_and_keeps_them(size):
 
 
 @given(st.floats(0.0, 1.0), st.floats(7.0, 40.0), st.integers(0, 2**32 - 1))
+@example(0.015625, 7.0, 872)  # twenty jumps away, the median distance is half a period off
 def test_a_period_between_its_bounds_places_every_jump_between_its_two_samples(phase, period_s, seed):
     t = np.cumsum(np.random.default_rng(seed).uniform(0.5, 1.5, 300))
     jumps = RegularJumps.of(t, np.floor(t / period_s - phase) + 1e-6 * t)

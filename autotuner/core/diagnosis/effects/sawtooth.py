@@ -60,8 +60,9 @@ class RegularJumps:
         if jumps.size < FEWEST_JUMPS or abs(np.sum(np.sign(difference[jumps]))) < jumps.size:
             return None
         before, after = t[jumps], t[jumps + 1]
-        middles = (before + after) / 2.0
-        turns = np.round((middles - middles[jumps.size // 2]) / np.median(np.diff(middles)))
+        distances = np.diff(before + after) / 2.0
+        turns = np.append(0.0, np.cumsum(np.round(distances / np.median(distances))))
+        turns -= turns[jumps.size // 2]
         first, later = np.triu_indices(jumps.size, 1)
         apart = turns[later] - turns[first]
         if not apart.all():
