@@ -38,7 +38,7 @@ LOAD = FoundEffect("load_step", "disturbance", {"size": 2.0, "at_s": 50.0}, {}, 
 
 
 def steps(levels=(0.0, 10.0, 3.0, -6.0, 0.0, 5.0), sigma=0.02, lag_s=5.0, gain=2.0, of_output=1.0, each=40):
-    """Steps behind a lag, 40 s each."""
+    """Steps behind a lag, of `each` seconds."""
     output = np.repeat(levels, each)
     pv = np.zeros(output.size)
     for k in range(1, output.size):

@@ -71,6 +71,11 @@ def added(*recordings):
     return Recording(recordings[0].t, recordings[0].output, PV0 + pv)
 
 
+def arriving(u, delay_s):
+    """Return the times at which an output changes, a dead time later, and the output from each of them on."""
+    return [(0.0, 0.0), *((k + delay_s, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+
+
 def solved(f, x0, edges, t):
     """Return the states of `x' = f(x, u)` at times, integrated from one change of the input to the next.
 
@@ -162,7 +167,7 @@ def test_a_loss_of_the_last_of_two_stores_is_that_of_a_general_solver(form, twic
     """T1 x' = u - x, T2 w' = x - h(w), behind the dead time; `h` loses more, or less, than in proportion."""
     u, level = moves(), 25.0
     first, last = (PAIR.T2, PAIR.T1) if slow_last else (PAIR.T1, PAIR.T2)
-    edges = [(0.0, 0.0), *((k + PAIR.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+    edges = arriving(u, PAIR.D)
     h = loss_of(form, level)
     t = np.arange(300.0)
     w = solved(lambda x, v: [(v - x[0]) / first, (x[0] - h(x[1])) / last], [0.0, 0.0], edges, t)[1]
@@ -180,7 +185,7 @@ def test_the_heat_of_a_reaction_is_that_of_a_general_solver(slow_last):
     u, c, heat = moves(), 0.05, 0.4
     plant = LAG if slow_last is None else PAIR
     lags = (LAG.T,) if slow_last is None else (PAIR.T2, PAIR.T1) if slow_last else (PAIR.T1, PAIR.T2)
-    edges = [(0.0, 0.0), *((k + plant.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+    edges = arriving(u, plant.D)
 
     def left_of_loss(w):
         return w - heat * (math.expm1(c * w) - c * w) / c
@@ -202,7 +207,7 @@ def test_the_heat_of_a_reaction_is_that_of_a_general_solver(slow_last):
 def test_a_spring_is_that_of_a_general_solver():
     """m y'' + n y' + y + a y^2 + b y^3 = K u, behind the dead time."""
     u, K, a, b = moves(), RINGING.K, 0.01, 0.002
-    edges = [(0.0, 0.0), *((k + RINGING.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+    edges = arriving(u, RINGING.D)
 
     def f(x, u):
         return [x[1], (K * u - x[0] - a * x[0] ** 2 - b * x[0] ** 3 - RINGING.n * x[1]) / RINGING.m]
@@ -235,7 +240,7 @@ def test_a_limit_of_the_state_is_the_simulators(plant, sign, name):
 
 def test_what_spills_over_an_edge_is_that_of_a_general_solver():
     u, edge, strength = moves(), 4.0, 3.0
-    edges = [(0.0, 0.0), *((k + LAG.D, float(u[k])) for k in np.flatnonzero(np.diff(u)) + 1)]
+    edges = arriving(u, LAG.D)
     t = np.arange(300.0)
     w = solved(lambda x, v: [(v - x[0] - strength * max(x[0] - edge, 0.0)) / LAG.T], [0.0], edges, t)[0]
     recording = Recording(t, OUTPUT0 + u, PV0 + LAG.K * w)

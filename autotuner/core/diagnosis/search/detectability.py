@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from autotuner.core.model.arrays import FloatArray
 
 SHARES = (0.005, 0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.22, 0.33, 0.5)
-"""Sizes tried: bands in swings, update times and times of travel in fifths of the median time between moves."""
+"""Sizes tried: bands in swings, slow modes in gains of the process, update times and times of travel in fifths of the
+median time between moves."""
 GRAVE, GRAVE_TIME, GRAVE_SHARE = 0.05, 0.3, 0.1
 """Shares from which a hidden effect is reported with the verdict: of bands and steps, of times, and of the gain."""
 SLOWER = 10.0

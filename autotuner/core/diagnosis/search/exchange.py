@@ -94,7 +94,8 @@ def _on_all_samples(context: FitContext, candidate: Fitted) -> Fitted:
 def in_near_forms(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:
     """Return the explanation with one effect in each of its other forms that comes about as near as the closest one."""
     coarse = _in_other_forms(context, chosen, effect)
-    return [_on_all_samples(context, c) for c in coarse if c.rms < AS_NEAR * coarse[0].rms]
+    near = (_on_all_samples(context, c) for c in coarse if c.rms < AS_NEAR * coarse[0].rms)
+    return [c for c in near if is_physical(c)]
 
 
 @lru_cache(maxsize=16)

@@ -59,7 +59,7 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
         return ((1.0, final),)
     lag = one_lag_more(context, chosen)
     others = (other for effect in chosen.problem.effects for other in in_near_forms(context, chosen, effect))
-    pool = (*pool, *(other for other in others if is_physical(other)))
+    pool = (*pool, *others)
     near = [*_alike(context, chosen, pool), *([] if lag is None else [lag]), *_with_next_terms(context, chosen)]
     found = [to_both_parts(context, f) for f in near]
     samples = final.residual.size / context.colour(final)

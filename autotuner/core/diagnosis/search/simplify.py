@@ -50,6 +50,7 @@ from autotuner.core.diagnosis.search.search import (
     without,
 )
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER
+from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -154,31 +155,26 @@ def with_plain_limit(context: FitContext, chosen: Fitted, effects: Sequence[Effe
 def with_other_forms(context: FitContext, chosen: Fitted) -> Fitted:
     """Return the explanation with each effect in another form where both parts together speak for it. Cached."""
     for effect in chosen.problem.effects:
-        others = [other for other in in_near_forms(context, chosen, effect) if is_physical(other)]
-        chosen = _likeliest(context, [chosen, *others])
+        others = in_near_forms(context, chosen, effect)
+        chosen = _likeliest(context, chosen, others) if others else chosen
     return chosen
 
 
-def _likeliest(context: FitContext, forms: Sequence[Fitted]) -> Fitted:
-    """Return the form that both parts together speak for, the first unless another one is clearly likelier.
+def _likeliest(context: FitContext, chosen: Fitted, others: Sequence[Fitted]) -> Fitted:
+    """Return the form that both parts together speak for, the chosen one unless another one is clearly likelier.
 
     The criterion is of the fitted part; what follows was predicted, and counts as it is.
     """
-    first, *others = forms
-    inflated = context.colour(first)
-    inflated_later = min(context.inflation(context.held_out_residual(form)) for form in forms)
-
-    def unlikely(form: Fitted) -> float:
-        later = context.held_out.size / inflated_later * math.log(_squares_later(context, form))
-        return context.criterion(form, inflated) + later
-
-    best = min(others, key=unlikely, default=first)
-    more = 0.0 if best.size < first.size else -POSITIVE
-    return best if unlikely(best) <= unlikely(first) + more else first
-
-
-def _squares_later(context: FitContext, form: Fitted) -> float:
-    return context.held_out_error(form) ** 2 + context.dataset.floor**2
+    inflated = context.colour(chosen)
+    later = {form: context.held_out_residual(form) for form in (chosen, *others)}
+    independent = context.held_out.size / min(map(context.inflation, later.values()))
+    unlikely = {
+        form: context.criterion(form, inflated) + independent * math.log(rms(left) ** 2 + context.dataset.floor**2)
+        for form, left in later.items()
+    }
+    best = min(others, key=unlikely.__getitem__)
+    more = 0.0 if best.size < chosen.size else -POSITIVE
+    return best if unlikely[best] <= unlikely[chosen] + more else chosen
 
 
 def with_plain_forms(context: FitContext, chosen: Fitted, effects: Sequence[Effect]) -> Fitted:

@@ -71,20 +71,24 @@ def _response(view: View, arriving: HeldInput, curve: Curve, also: Sequence[floa
     return view.forced(times_curve(arriving, view.dataset.span_s, until_s, curve, also), delayed=False)
 
 
-def _about_any_output(dataset: Dataset, form: Effect, curve_of: CurveOf) -> Effect:
-    """Return a form in whose place another output is tried about which the gain changes.
+def _along(curve_of: CurveOf, dataset: Dataset, form: Effect) -> Effect:
+    """Return a form whose gain follows a curve of time; in its place, another output is tried about which it changes.
 
-    `curve_of` returns of its numbers the curve of time, and the times at which that jumps.
+    `curve_of` returns of the form's numbers the curve, and the times at which that jumps.
     """
 
     def columns(view: View, p: Sequence[float]) -> list[FloatArray]:
-        return [_changed(view, *curve_of(p)), _response(view, unit_step(0.0), *curve_of(p))]
+        return [_changed(view, *curve_of(p))]
+
+    def about_another(view: View, p: Sequence[float]) -> list[FloatArray]:
+        return [*columns(view, p), _response(view, unit_step(0.0), *curve_of(p))]
 
     def sizes(p: Sequence[float], c: Sequence[float], g: float) -> Mapping[str, float]:
         return {**form.sizes(p, c, g), "about_output": dataset.output0 - c[1] / (c[0] or math.inf)}
 
     words = f"{form.form} about another output".strip()
-    return replace(form, other_forms=(replace(form, form=words, columns=columns, sizes=sizes),))
+    other = replace(form, form=words, columns=about_another, sizes=sizes)
+    return replace(form, columns=columns, other_forms=(other,))
 
 
 def _straight(dataset: Dataset) -> Effect:
@@ -99,10 +103,9 @@ def _straight(dataset: Dataset) -> Effect:
         (),
         [()],
         lambda _p, c, g: {"relative_change_per_h": c[0] / g / span * 3600.0},
-        columns=lambda view, p: [_changed(view, *curve_of(p))],
         group="gain in time",
     )
-    return _about_any_output(dataset, straight, curve_of)
+    return _along(curve_of, dataset, straight)
 
 
 def _settling(dataset: Dataset) -> Effect:
@@ -121,11 +124,10 @@ def _settling(dataset: Dataset) -> Effect:
         [(math.log(share),) for share in SETTLING],
         sizes,
         form="settling",
-        columns=lambda view, p: [_changed(view, *curve_of(p))],
         group="gain in time",
         means=lambda _p, c, g, _shape: 1.0 + c[0] / g > 0.0,
     )
-    return _about_any_output(dataset, settling, curve_of)
+    return _along(curve_of, dataset, settling)
 
 
 def _free(dataset: Dataset) -> Effect:
@@ -163,9 +165,8 @@ def _jump(dataset: Dataset) -> Effect:
         [(s,) for s in starts],
         lambda p, c, g: {"relative_change": c[0] / g, "at_s": p[0] * span},
         form="jump",
-        columns=lambda view, p: [_changed(view, *curve_of(p))],
         price=math.log(12.0),
         group="gain in time",
         means=lambda p, c, g, _shape: 1.0 + c[0] / g > 0.0 and by_chance(dataset, p[0] * span),
     )
-    return _about_any_output(dataset, jump, curve_of)
+    return _along(curve_of, dataset, jump)
