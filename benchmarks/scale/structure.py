@@ -12,10 +12,14 @@ from __future__ import annotations
 
 import argparse
 import ast
+import functools
 import json
 import statistics
 from collections import Counter
 from pathlib import Path
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 PACKAGES = {
     "autotuner": "autotuner",
@@ -33,8 +37,14 @@ def sources(root: Path) -> dict[str, ast.Module]:
         for path in sorted(base.rglob("*.py")):
             parts = [package, *path.relative_to(base).with_suffix("").parts]
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-            found[name] = ast.parse(path.read_text(encoding="utf-8"))
+            found[name] = parsed(path)
     return found
+
+
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    """Return the syntax tree of a module; each is parsed once."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
@@ -57,20 +67,11 @@ def _imported(node: ast.AST, known: dict[str, ast.Module]) -> list[str]:
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     """Return the strongly connected components with more than one module."""
-    reach = {name: _reached(graph, name) for name in graph}
-    groups = {frozenset({name} | {other for other in reach[name] if name in reach[other]}) for name in graph}
-    return sorted(sorted(group) for group in groups if len(group) > 1)
-
-
-def _reached(graph: dict[str, set[str]], start: str) -> set[str]:
-    seen: set[str] = set()
-    waiting = [*graph[start]]
-    while waiting:
-        name = waiting.pop()
-        if name not in seen:
-            seen.add(name)
-            waiting.extend(graph[name])
-    return seen
+    names = np.array(sorted(graph))
+    edges = np.array([[other in graph[name] for other in names] for name in names])
+    _, component = connected_components(edges, connection="strong")
+    sizes = np.bincount(component)
+    return [names[component == k].tolist() for k in np.flatnonzero(sizes > 1)]
 
 
 def undocumented_constants(tree: ast.Module) -> list[str]:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -297,6 +298,19 @@ def test_advice_holds_the_sizes_and_needs_none():
         said = remedy(name, {})
         assert said
         assert "{" not in said
+
+
+@pytest.mark.parametrize(("share", "growth_per_pv"), [(0.25, 0.1), (0.6, 0.02)])
+def test_a_reaction_runs_away_where_its_heat_grows_with_the_pv_as_fast_as_the_loss(share, growth_per_pv):
+    said = remedy("nonlinear_loss", {"heat_share": share, "growth_per_pv": growth_per_pv})
+    above = float(said.partition(" above the PV at rest")[0].rpartition(" ")[2])
+    heat = scipy.optimize.brentq(lambda pv: share * math.exp(growth_per_pv * pv) - 1.0, 0.0, 100.0)
+    assert above == pytest.approx(heat, rel=0.005)
+    assert said.startswith(f"a reaction gives back {share:.0%} of")
+
+
+def test_a_reaction_without_heat_runs_away_nowhere():
+    assert remedy("nonlinear_loss", {"heat_share": 0.0, "growth_per_pv": 0.1}) == remedy("nonlinear_loss", {})
 
 
 def test_two_names_are_separated_by_the_experiment_of_the_pair_in_either_order():

@@ -1,7 +1,6 @@
 """Who imports whom, what the core may touch, and how long functions are."""
 
 import ast
-import functools
 import importlib.util
 import statistics
 
@@ -46,10 +45,10 @@ def sources(root, structure):
     return structure.sources(root)
 
 
-@functools.cache
-def parsed(path):
-    """Return a module as a tree, which several tests look at."""
-    return ast.parse(path.read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def parsed(structure):
+    """Return a function from a module's path to its tree, which several tests look at."""
+    return structure.parsed
 
 
 def test_no_module_is_in_an_import_circle(structure, sources):
@@ -57,12 +56,17 @@ def test_no_module_is_in_an_import_circle(structure, sources):
     assert structure.circles(structure.imports(sources)) == []
 
 
+def test_a_circle_of_any_length_is_found(structure):
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a", "e"}, "e": {"d"}, "f": {"d"}}
+    assert structure.circles(graph) == [["a", "b", "c"], ["d", "e"]]
+
+
 def test_every_number_has_its_unit_and_reason(structure, sources):
     names = {name: structure.undocumented_constants(tree) for name, tree in sources.items()}
     assert {name: found for name, found in names.items() if found} == {}
 
 
-def test_the_core_imports_numpy_scipy_and_itself(packages):
+def test_the_core_imports_numpy_scipy_and_itself(packages, parsed):
     for path in (packages["autotuner"] / "core").rglob("*.py"):
         tree = parsed(path)
         for name in set(_imported(tree)) - _imported_for_types_only(tree):
@@ -70,27 +74,27 @@ def test_the_core_imports_numpy_scipy_and_itself(packages):
             assert own or name.split(".")[0] in PURE or (path.name, name) in EXCEPTIONS, f"{path}: imports {name}"
 
 
-def test_the_core_neither_prints_nor_opens(packages):
+def test_the_core_neither_prints_nor_opens(packages, parsed):
     for path in (packages["autotuner"] / "core").rglob("*.py"):
         calls = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.Call)]
         named = {call.func.id for call in calls if isinstance(call.func, ast.Name)}
         assert not named & SPEAKING, f"{path}: calls {named & SPEAKING}"
 
 
-def test_drivers_know_only_the_port(packages):
+def test_drivers_know_only_the_port(packages, parsed):
     for path in packages["autotuner_drivers"].rglob("*.py"):
         tree = parsed(path)
         known = {name for name in _imported(tree) if name.split(".")[0] == "autotuner"}
         assert known <= PORT, path
 
 
-def test_nothing_imports_a_folder_of_the_repository(modules):
+def test_nothing_imports_a_folder_of_the_repository(modules, parsed):
     for path in modules:
         tops = {name.split(".")[0] for name in _imported(parsed(path))}
         assert not tops & {"drivers", "sim", "models", "tests"}, path
 
 
-def test_functions_are_short(modules):
+def test_functions_are_short(modules, parsed):
     lengths = {
         f"{path}:{node.name}": node.end_lineno - node.lineno + 1
         for path in modules
@@ -102,7 +106,7 @@ def test_functions_are_short(modules):
     assert {name: length for name, length in lengths.items() if length > 60} == {}
 
 
-def test_every_module_opens_with_what_it_is(modules):
+def test_every_module_opens_with_what_it_is(modules, parsed):
     assert [path for path in modules if not ast.get_docstring(parsed(path))] == []
 
 

@@ -1,5 +1,7 @@
 """Closed loops that an unmeasured load moves as much as the set point does: the simulator's plants are the truth."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -14,9 +16,14 @@ def loop_record(seed, **given):
     return loop_with_load(seed, **given)[0]
 
 
+@functools.cache
+def identified(seed, gain=1.5):
+    return identify(loop_record(seed, gain=gain), profile=False)
+
+
 @pytest.mark.parametrize(("gain", "seeds"), [(1.5, SEEDS[:3]), pytest.param(-2.0, SEEDS, marks=pytest.mark.long)])
 def test_the_gain_of_a_process_is_found_beside_a_load_as_large_as_the_moves_of_the_set_point(gain, seeds):
-    answers = [identify(loop_record(seed, gain=gain), profile=False) for seed in seeds]
+    answers = [identified(seed, gain) for seed in seeds]
     assert all(answer.model is not None and answer.model.K * gain > 0.0 for answer in answers)
     ends = [answer.estimates["least_squares"].interval95["K"] for answer in answers]
     assert sum(low <= gain <= high for low, high in ends) >= len(seeds) - 1
@@ -24,8 +31,8 @@ def test_the_gain_of_a_process_is_found_beside_a_load_as_large_as_the_moves_of_t
 
 
 def test_a_load_that_nobody_recorded_is_reported_with_its_size():
-    record, by_load = loop_with_load(41)
-    answer = identify(record, profile=False)
+    _, by_load = loop_with_load(41)
+    answer = identified(41)
     note = next(text for text in answer.warnings if "not recorded" in text)
     reported = float(note.split("moves the PV by ")[1].split(" ")[0])
     assert reported == pytest.approx(np.std(by_load), rel=0.2)

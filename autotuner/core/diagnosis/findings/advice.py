@@ -1,7 +1,16 @@
-"""Advice on an effect, and on experiments that would show more."""
+"""Advice on an effect, and on experiments that would show more.
+
+A reaction runs away where its heat grows as fast with the PV as the loss does: it takes up the share `q` of that growth
+at rest, and `e` times as much for each `1/c` of the PV, so that is
+
+    ln(1/q)/c
+
+above the PV at rest (Semenov's limit, by the curve that the record shows).
+"""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from autotuner.core.effect_plugins import installed_effects
@@ -65,6 +74,12 @@ REMEDIES: dict[str, str] = {
     "timing_jitter": "samples are taken up to {spread_s:.3g} s beside their time stamps: stamp them when read",
     "not_settled": "the process was not at rest at the beginning: wait longer before the next test",
 }
+RUNS_AWAY = (
+    "a reaction gives back {share:.0%} of what the loss grows with the PV, and more with each degree. {above:.3g} above "
+    "the PV at rest it heats faster than the loss cools, and no constant output holds it: set an interlock well below, "
+    "and schedule the gains by the PV"
+)
+"""Advice on a loss with the heat of a reaction."""
 TELLS_APART: dict[frozenset[str], str] = {
     frozenset({"backlash", "stiction"}): "a slow ramp of the output: play gives a smooth PV after it, sticking gives "
     "steps",
@@ -83,6 +98,9 @@ TELLS_APART: dict[frozenset[str], str] = {
 
 def remedy(name: str, sizes: Mapping[str, float]) -> str:
     """Return the advice on an effect, with its sizes."""
+    share, growth_per_pv = sizes.get("heat_share", 0.0), sizes.get("growth_per_pv", 0.0)
+    if share > 0.0 < growth_per_pv:
+        return RUNS_AWAY.format(share=share, above=math.log(1.0 / share) / growth_per_pv)
     plugin = installed_effects().get(name)
     words = REMEDIES.get(name, "") if plugin is None else plugin.advice
     try:
