@@ -75,9 +75,9 @@ REMEDIES: dict[str, str] = {
     "not_settled": "the process was not at rest at the beginning: wait longer before the next test",
 }
 RUNS_AWAY = (
-    "a reaction gives back {share:.0%} of what the loss grows with the PV, and more with each degree. {above:.3g} above "
-    "the PV at rest it heats faster than the loss cools, and no constant output holds it: set an interlock well below, "
-    "and schedule the gains by the PV"
+    "a reaction gives back {share:.0%} of what the loss grows with the PV, and more with each degree. From {above:.3g} "
+    "above the PV at rest, it heats faster than the loss cools, and no constant output holds it: set an interlock well "
+    "below, and schedule the gains by the PV"
 )
 """Advice on a loss with the heat of a reaction."""
 TELLS_APART: dict[frozenset[str], str] = {

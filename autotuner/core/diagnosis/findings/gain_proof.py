@@ -3,7 +3,7 @@
 Gains are refused where
 
 1. the process alone is the inverse of the controller;
-2. a gain of the other sign explains the record about as well, or the sign changes with the effects;
+2. a gain of the other sign explains the record about as well, alone or beside effects, or the sign changes with them;
 3. the record is not explained, and the model leaves more of the PV's motion than a tuning allows;
 4. the record is not explained, and `identify` refuses it.
 
@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.extended.base import is_the_controller
+from autotuner.core.diagnosis.extended.base import is_physical, is_the_controller
 from autotuner.core.identification.procedure import identify
 from autotuner.core.identification.result import most_unexplained
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.base import Base
+    from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.findings.result import Misfit, Outcome
     from autotuner.core.diagnosis.search.trace import Trace
     from autotuner.core.model.process import ProcessModel
@@ -30,6 +31,28 @@ if TYPE_CHECKING:
 
 AS_GOOD = 1.1
 """Error with a gain of the other sign, over that of the best, up to which the record does not prove the sign."""
+
+
+def doubts_about_sign(context: FitContext, found: Trace) -> list[str]:
+    """Return why the record does not prove the sign of the gain beside effects; empty where no other sign comes near.
+
+    The dead time may attribute a response to the move before, which went the other way.
+    """
+    chosen = found.chosen
+    gain, later = float(chosen.linear[0]), AS_GOOD * context.held_out_error(chosen)
+    near = (
+        other
+        for other in (found.pool if chosen.problem.effects else ())
+        if float(other.linear[0]) * gain < 0.0
+        and other.rms < AS_GOOD * chosen.rms
+        and context.held_out_error(other) < later
+        and is_physical(other)
+    )
+    opposite = min(near, key=context.on_both_parts, default=None)
+    if opposite is None:
+        return []
+    names = " and ".join(dict.fromkeys(opposite.reported_names())) or "nothing"
+    return [f"a process of the opposite gain, with {names} beside it, explains the record about as well"]
 
 
 def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outcome, fitted: Misfit) -> str | None:

@@ -37,7 +37,7 @@ from autotuner.core.diagnosis.findings.gain_comparison import (
     missing_note,
     no_design_note,
 )
-from autotuner.core.diagnosis.findings.gain_proof import why_no_gains
+from autotuner.core.diagnosis.findings.gain_proof import doubts_about_sign, why_no_gains
 from autotuner.core.diagnosis.findings.judgement import FEW, VISIBLE, is_close, verdict_of
 from autotuner.core.diagnosis.findings.residual_dependence import dependences, in_words
 from autotuner.core.diagnosis.findings.result import Diagnosis, FoundEffect, Misfit, Outcome, comes_from_outside
@@ -126,7 +126,9 @@ def reported(
     final = to_both_parts(context, found.chosen)
     near = neighbours(context, found.chosen, found.pool)
     covariance = process_covariance(context, final, near)
-    doubts = _doubts(context, found, effects, errors, error["selection"], covariance, sensor)
+    judged = model is None and not context.dataset.tuned
+    sign = doubts_about_sign(context, found) if judged else []
+    doubts = [*_doubts(context, found, effects, errors, error["selection"], covariance, sensor), *sign]
     verdict, cut = _outcome(context, found.chosen, effects, error, doubts, has_memory=coloured is not None)
     kept = verdict in {"explained", "adequate"}
     effects = effects if kept else tuple(replace(e, confidence=min(e.confidence, UNSURE)) for e in effects)
@@ -134,8 +136,9 @@ def reported(
     described = model_to_dict(alone.model)
     after = Known(final.process(), covariance) if kept else alone
     blind = blind_spots(context, found.chosen, found.noise)
-    judged = model is None and not context.dataset.tuned
-    barred = why_no_gains(parts.before_test, first, found, verdict, error["fitted"]) if judged else None
+    barred = next(iter(sign), None)
+    if judged and barred is None:
+        barred = why_no_gains(parts.before_test, first, found, verdict, error["fitted"])
     gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), context.dataset, requested)
     missing = () if kept else dependences(context, found.alone, noise)
     notes = [
