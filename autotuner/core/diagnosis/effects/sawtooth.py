@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.waves import price_of_a_period
-from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View, between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -71,6 +71,10 @@ class RegularJumps:
         longest = float(np.min((after[later] - before[first]) / apart))
         return cls(before, after, turns, shortest, longest) if shortest < longest else None
 
+    def periods_s(self) -> FloatArray:
+        """Return some of the periods with which all jumps lie between their samples, s."""
+        return between(self.shortest_s, self.longest_s)
+
     def first_s(self, period_s: float) -> float:
         """Return the middle of the times that a period leaves to the jump from which `turns` count, s."""
         earliest = np.max(self.before_s - self.turns * period_s)
@@ -110,5 +114,6 @@ def _with(jumps: RegularJumps, dataset: Dataset, known_until_s: float) -> Effect
         form="sawtooth",
         columns=columns,
         price=price_of_a_period(dataset),
+        alike=lambda _p, _until_s: [(period_s,) for period_s in jumps.periods_s()],
         seen_again=seen_again,
     )

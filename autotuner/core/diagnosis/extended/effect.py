@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -36,6 +38,8 @@ class Place(StrEnum):
 
 ROW = {Place.ACTUATOR: 0, Place.PROCESS: 5, Place.DISTURBANCE: 7, Place.SENSOR: 8}
 """Places of effects in the row from output to PV."""
+ALIKE = 9
+"""Values between two bounds that stand for all: what only a tenth of them do shows."""
 ONE_LAG, TWO_LAGS = "third", "third and fourth"
 """Forms of further lags of a process with two of its own."""
 
@@ -155,6 +159,8 @@ class Effect:
         whether they agree with the name: a zero on the right side, a mode slower than the process. True without it.
     lateness_s : callable, optional
         From the values of `searched`, the standard deviation of the lateness of moves that nothing was fitted to, s.
+    alike : callable, optional
+        From the values of `searched` and a time, s, other values that nothing until then distinguishes from them.
     seen_again : callable, optional
         From samples and the PV there beside everything else, the effect as those show it, None where they do not: for
         numbers that no fit can move, since they are known to a sample.
@@ -191,6 +197,7 @@ class Effect:
     reads_as: Callable[[Sequence[float]], str] | None = None
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     lateness_s: Callable[[Sequence[float]], float] | None = None
+    alike: Callable[[Sequence[float], float], Sequence[Sequence[float]]] | None = None
     seen_again: Callable[[IntArray, FloatArray], Effect | None] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
     other_forms: tuple[Effect, ...] = ()
@@ -210,3 +217,8 @@ class Effect:
     def only_adds(self) -> bool:
         """Whether it does nothing but add columns: input and response of the process do not depend on its numbers."""
         return self.position is None and self.transport is None and self.response is None and self.load is None
+
+
+def between(lowest: float, highest: float) -> FloatArray:
+    """Return values that stand for all between two bounds; empty where there are none."""
+    return lowest + (highest - lowest) * (np.arange(ALIKE if lowest < highest else 0) + 0.5) / ALIKE

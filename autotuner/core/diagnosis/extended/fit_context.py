@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import closest_first, plainness, without_rounding
-from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
+from autotuner.core.diagnosis.extended.left_open_later import error_left_open
 from autotuner.core.estimation.candidate import MANY_STRUCTURES
 from autotuner.core.signals.noise import inflation, rms
 
@@ -86,9 +86,9 @@ class FitContext:
         return candidate.misfit + float(held @ held) / held.size
 
     def expected(self, candidate: Fitted, noise: float) -> float:
-        """Return the expected residual of a correct candidate: noise, and moves with unknown delays."""
+        """Return the expected residual of a correct candidate: noise, and what the fitted part leaves open."""
         dataset = self.dataset
-        return math.hypot(noise, unknown_lateness(candidate, dataset, self.held_out, dataset.fitted_until_s))
+        return math.hypot(noise, error_left_open(candidate, dataset, self.held_out, dataset.fitted_until_s))
 
     def best(self, candidates: list[Fitted]) -> Fitted:
         """Return the candidate with the lowest criterion."""

@@ -1,8 +1,9 @@
 """Errors before and after, by part of the record: one figure for every effect.
 
-    error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2 + late^2
+    error = sqrt(mean (pv - simulated)^2),   expected^2 = noise^2 + spread^2 mean (d simulated/dt)^2 + open^2
 
-`spread` the standard deviation of uneven sampling times, `late` the error by unknown delays of moves. On the selection
+`spread` the standard deviation of uneven sampling times, `open` the error by what is left open: delays of moves, steps
+of an actuator. On the selection
 part, both models are as fitted to the fitted part, and on the test part, as fitted to both (`to_both_parts`).
 """
 
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.both_parts import to_both_parts
-from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
+from autotuner.core.diagnosis.extended.left_open_later import error_left_open
 from autotuner.core.diagnosis.findings.result import Misfit, Traces
 from autotuner.core.diagnosis.record.sensor import spikes_of
 from autotuner.core.signals.noise import rms
@@ -79,12 +80,13 @@ class Errors:
 
     def _on_the_selection_part(self, rows: IntArray) -> Misfit:
         dataset = self.context.dataset
-        late = unknown_lateness(self.after, dataset, rows, dataset.fitted_until_s)
-        return self._misfit(dataset, *self._as_fitted, rows, late)
+        left_open = error_left_open(self.after, dataset, rows, dataset.fitted_until_s)
+        return self._misfit(dataset, *self._as_fitted, rows, left_open)
 
     def _on_the_test_part(self) -> Misfit:
-        late = unknown_lateness(self.after, self._whole, self._tested, self.parts.test_from_s, tested=True)
-        return self._misfit(self._whole, *self._simulated, self._tested, late)
+        final = to_both_parts(self.context, self.after)
+        left_open = error_left_open(final, self._whole, self._tested, self.parts.test_from_s, tested=True)
+        return self._misfit(self._whole, *self._simulated, self._tested, left_open)
 
     def of_blocks(self) -> tuple[Misfit, ...]:
         """Return the errors of equal parts of a long record."""
@@ -103,10 +105,10 @@ class Errors:
         return Traces(t, output, dataset.data.pv + dataset.pv0, before, after, self.parts.test_from_s)
 
     def _misfit(
-        self, dataset: Dataset, before: FloatArray, after: FloatArray, rows: IntArray, late: float = 0.0
+        self, dataset: Dataset, before: FloatArray, after: FloatArray, rows: IntArray, left_open: float = 0.0
     ) -> Misfit:
         pv = dataset.data.pv[rows]
-        expected = math.hypot(self.noise, late)
+        expected = math.hypot(self.noise, left_open)
         if self.spread_s:
             expected = math.hypot(expected, self.spread_s * rms(np.gradient(after, dataset.data.t)[rows]))
         return Misfit(rms(pv - before[rows]), rms(pv - after[rows]), self.noise, expected)

@@ -89,6 +89,10 @@ TEST_REFUTES = (
     "on the test part the error is larger with the effects ({:.4g}) than without ({:.4g}): they do not explain what "
     "happens there"
 )
+OPEN_LATER = (
+    "on the test part an error of {:.3g} is expected, of which noise makes {:.3g}: the record leaves open how the "
+    "effects act there"
+)
 COLOURED = (
     "the residual is autocorrelated noise: {:.3g} in all, of which the samples before it predict all but {:.3g} "
     "({:.3g} on the selection part); an unmeasured disturbance, and no missing effect"
@@ -239,6 +243,8 @@ def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
         notes.append(TEST_REFUTES.format(held.after, held.before))
     if held.after > FEW * held.expected:
         notes.append(TEST_FAILS.format(held.after / max(held.expected, SMALLEST_DIVISOR)))
+    if held.expected > VISIBLE * held.noise:
+        notes.append(OPEN_LATER.format(held.expected, held.noise))
     if coloured is not None:
         notes.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
     return notes

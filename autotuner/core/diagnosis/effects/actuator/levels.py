@@ -2,6 +2,7 @@
 
     residual ~ sum_l  g d_l G[output is at level l],   orthogonal to all that the process alone may do
     grid       d_l = step round((u_l - origin)/step) + origin - u_l
+    alike      |u_l|/(n_l + 1/2) <= step <= |u_l|/(n_l - 1/2),   n_l = |round(u_l/step)|,   u_l from the origin
 
 A grid is scored by the fall of the squares that its shifts `d` bring, `2 g b'd - g^2 d'N d`, so thousands are tried.
 """
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.diagnosis.extended.effect import between
 from autotuner.core.diagnosis.extended.extended_model import SAME_MISFIT, apart, without_rounding
 from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.waiting import waiting_of
@@ -22,6 +24,7 @@ from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray
 
 MOST_LEVELS = 60
@@ -31,6 +34,8 @@ SAME = 1e-3
 SMALLEST, LARGEST, STEPS = 0.01, 0.6, 1500
 """Steps tried, in swings; from the resting output and from zero of the scale, the two grids that devices have."""
 KEPT, APART = 3, 0.02
+REST, ZERO = "from the rest", "from zero"
+"""What the steps of an actuator count from."""
 
 
 def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, float]]]:
@@ -52,13 +57,32 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
         return {}
     levels = known * SAME  # in swings
     N, b = _normal(base, rows, index, known.size)
-    at_zero = ((-dataset.output0 / dataset.swing) / steps + 0.5) % 1.0 - 0.5
-    origins = np.column_stack((np.zeros(steps.size), at_zero))
+    forms = (REST, ZERO)
+    origins = np.column_stack([_origins(dataset, form, steps) for form in forms])
     s, o = steps[:, None, None], (steps[:, None] * origins)[:, :, None]
     shifts = dataset.swing * (o + s * np.round((levels - o) / s) - levels)
     shifts = shifts - shifts[:, :, [index[0]]]
     fall = 2.0 * shifts @ b - np.einsum("sol,lm,som->so", shifts, N, shifts)
-    return {form: _likeliest(fall[:, k], steps, origins[:, k]) for k, form in enumerate(("from the rest", "from zero"))}
+    return {form: _likeliest(fall[:, k], steps, origins[:, k]) for k, form in enumerate(forms)}
+
+
+def _origins(dataset: Dataset, form: str, steps: FloatArray) -> FloatArray:
+    """Return the origins, in steps from the first output, of steps in swings."""
+    first = dataset.output0 / dataset.swing if form == ZERO else 0.0
+    origins: FloatArray = (-first / steps + 0.5) % 1.0 - 0.5
+    return origins
+
+
+def steps_alike(dataset: Dataset, form: str, step: float, until_s: float) -> list[tuple[float, float]]:
+    """Return steps, in swings, that round every output until a time as a step does, and their origins, in steps."""
+    held = dataset.data.held
+    outputs = held.levels[held.times < until_s] + (dataset.output0 if form == ZERO else 0.0)
+    size = np.abs(outputs) / dataset.swing
+    count = np.round(size / step)
+    lowest = float(np.max(size / (count + 0.5)))
+    highest = float(np.min(size[count > 0] / (count[count > 0] - 0.5), initial=LARGEST))
+    steps = between(lowest, highest)
+    return list(zip(steps.tolist(), _origins(dataset, form, steps).tolist(), strict=True))
 
 
 def _likeliest(fall: FloatArray, steps: FloatArray, origins: FloatArray) -> list[tuple[float, float]]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.characteristics import characteristics
+from autotuner.core.diagnosis.effects.actuator.levels import steps_alike
 from autotuner.core.diagnosis.effects.actuator.saturation import map_levels, saturations, soft_limits
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View
 from autotuner.core.model.zoh_input import HeldInput, numbered
@@ -213,6 +214,7 @@ def quantisation(dataset: Dataset, form: str, steps: Sequence[tuple[float, float
         lambda p, _c, _g: {"step": p[0] * swing},
         form=form,
         position=grid,
+        alike=lambda p, until_s: steps_alike(dataset, form, p[0], until_s),
         blur=lambda p: {"step": ORIGIN_LEFT * p[0] ** 2 * swing},
     )
 

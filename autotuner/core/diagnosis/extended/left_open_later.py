@@ -1,0 +1,89 @@
+"""Expected error of a correct model by what the fitted samples leave open.
+
+    var e(t) = s^2 sum_i (K du_i g'(t - t_i - D))^2,   over the moves without a fitted delay
+    var e(t) = sum_v p_v (y(t; v) - y(t))^2,     v values that the fitted samples do not distinguish, p_v likelihood
+
+`s` standard deviation of the delay, s, `g` unit-gain step response, `y` simulated PV. An actuator that updates at its
+own times delays moves by a known distribution, at unknown times. Steps of an actuator that round all outputs so far
+alike round another one differently, and jumps between two samples leave a period open.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from autotuner.core.diagnosis.extended.fitting import fit
+from autotuner.core.model.zoh_input import unit_step
+
+if TYPE_CHECKING:
+    from autotuner.core.diagnosis.extended.extended_model import Fitted
+    from autotuner.core.diagnosis.record.dataset import Dataset
+    from autotuner.core.model.arrays import FloatArray, IntArray
+
+
+def error_left_open(
+    candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float, *, tested: bool = False
+) -> float:
+    """Return the root mean square error that what is left open makes, PV; 0 where nothing is.
+
+    Parameters
+    ----------
+    candidate : Fitted
+        The process with its effects.
+    dataset : Dataset
+        The record, in the units and about the values of the candidate's own.
+    rows : array of int
+        Samples of the part that is judged.
+    after_s : float
+        Begin of that part, s.
+    tested : bool
+        Whether it is the test part: the phase of updates at even times, too, is a guess by then.
+    """
+    if not rows.size:
+        return 0.0
+    late = _of_lateness(candidate, dataset, rows, after_s, tested=tested)
+    return math.hypot(late, _of_values_alike(candidate, dataset, rows, after_s))
+
+
+def _of_values_alike(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float) -> float:
+    """Return the root mean square difference to the same model with values that are alike until then, PV.
+
+    Each counts by its likelihood beside that of the candidate.
+    """
+    problem, at = candidate.problem, len(candidate.problem.structure.shape) + 1
+    here, squares = _simulated(candidate, dataset, rows), 0.0
+    for effect, p in zip(problem.effects, problem.split(candidate.theta)[2], strict=True):
+        values = [] if effect.alike is None else effect.alike(p, after_s)
+        thetas = [np.concatenate((candidate.theta[:at], v, candidate.theta[at + len(p) :])) for v in values]
+        alike = [fit(problem, theta, 0) for theta in thetas]
+        more = np.array([other.mean_square - candidate.mean_square for other in alike])
+        likely = np.exp(-0.5 * candidate.residual.size * np.maximum(more, 0.0) / candidate.misfit)
+        moved = [float(np.mean(np.square(_simulated(other, dataset, rows) - here))) for other in alike]
+        squares += float(likely @ moved) / max(float(likely.sum()), 1.0)
+        at += len(p)
+    return math.sqrt(squares)
+
+
+def _simulated(candidate: Fitted, dataset: Dataset, rows: IntArray) -> FloatArray:
+    return replace(candidate, problem=replace(candidate.problem, dataset=dataset)).simulated(rows)
+
+
+def _of_lateness(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float, *, tested: bool) -> float:
+    """Return the root mean square error that unknown latenesses make, PV."""
+    _, _, values = candidate.problem.split(candidate.theta)
+    spread_s = 0.0
+    for effect, p in zip(candidate.problem.effects, values, strict=True):
+        if effect.lateness_s is not None and (tested or effect.unseen_after):
+            spread_s = effect.lateness_s(p)
+    if spread_s == 0.0:
+        return 0.0
+    view = replace(candidate.problem, dataset=dataset).view(candidate.theta, rows)
+    moves = view.position.times > after_s - view.delay_s
+    since = (view.t - view.delay_s)[:, None] - view.position.times[moves]
+    slope = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
+    moved = np.where(since > 0.0, candidate.linear[0] * view.position.steps[moves] * slope, 0.0)
+    return spread_s * math.sqrt(float(np.mean((moved**2).sum(axis=1))))
