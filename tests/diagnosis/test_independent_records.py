@@ -22,7 +22,7 @@ THIRD_ORDER = [
     ("direction_gain:kink elsewhere", 789, "steps"),
     ("sensor_hysteresis:creeping", 796, "random"),
     pytest.param("periodic_disturbance:begins", 786, "steps", marks=pytest.mark.long),
-    ("gain_drift:step", 791, "relay"),
+    pytest.param("gain_drift:step", 791, "relay", marks=pytest.mark.long),
 ]
 
 
@@ -72,6 +72,7 @@ def test_the_interval_of_the_gain_holds_what_forms_that_come_as_near_mean(key, s
     assert high - low < 0.05 * abs(hidden.gain)
 
 
+@pytest.mark.long  # `test_pairs` shows a load at the input of a process with a slow mode
 def test_a_load_acts_on_a_process_with_a_loss_too():
     """The loss makes the process quicker, so that a load which a linear process answers is taken for a jump."""
     hidden, found = hidden_and_found("nonlinear_loss:radiation + load_step:step", 758, "random")

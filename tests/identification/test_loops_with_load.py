@@ -17,7 +17,7 @@ def loop_record(seed, **given):
 
 
 @functools.cache
-def identified(seed, gain=1.5):
+def identified(seed, gain):
     return identify(loop_record(seed, gain=gain), profile=False)
 
 
@@ -32,7 +32,7 @@ def test_the_gain_of_a_process_is_found_beside_a_load_as_large_as_the_moves_of_t
 
 def test_a_load_that_nobody_recorded_is_reported_with_its_size():
     _, by_load = loop_with_load(41)
-    answer = identified(41)
+    answer = identified(41, 1.5)
     note = next(text for text in answer.warnings if "not recorded" in text)
     reported = float(note.split("moves the PV by ")[1].split(" ")[0])
     assert reported == pytest.approx(np.std(by_load), rel=0.2)
