@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -302,11 +303,22 @@ def test_advice_holds_the_sizes_and_needs_none():
 
 @pytest.mark.parametrize(("share", "growth_per_pv"), [(0.25, 0.1), (0.6, 0.02)])
 def test_a_reaction_runs_away_where_its_heat_grows_with_the_pv_as_fast_as_the_loss(share, growth_per_pv):
-    said = remedy("nonlinear_loss", {"heat_share": share, "growth_per_pv": growth_per_pv})
-    above = float(said.partition(" above the PV at rest")[0].rpartition(" ")[2])
-    heat = scipy.optimize.brentq(lambda pv: share * math.exp(growth_per_pv * pv) - 1.0, 0.0, 100.0)
-    assert above == pytest.approx(heat, rel=0.005)
+    def limit(q, c):
+        return scipy.optimize.brentq(lambda pv: q * math.exp(c * pv) - 1.0, 0.0, 100.0)
+
+    sizes = {"heat_share": share, "growth_per_pv": growth_per_pv}
+    ends = {"heat_share": (0.5 * share, 1.2 * share), "growth_per_pv": (0.5 * growth_per_pv, 1.5 * growth_per_pv)}
+    said = remedy("nonlinear_loss", sizes, ends)
+    above, earliest = (float(n) for n in re.findall(r"from ([\d.]+)", said.lower()))
+    assert above == pytest.approx(limit(share, growth_per_pv), rel=0.005)
+    assert earliest == pytest.approx(limit(1.2 * share, 1.5 * growth_per_pv), rel=0.005)
     assert said.startswith(f"a reaction gives back {share:.0%} of")
+
+
+@pytest.mark.parametrize(("share", "growth_per_pv"), [(1.1, 0.2), (0.6, math.inf), (math.nan, 0.2), (0.6, math.nan)])
+def test_a_reaction_that_may_take_up_all_of_the_loss_may_run_away_at_once(share, growth_per_pv):
+    ends = {"heat_share": (0.1, share), "growth_per_pv": (0.05, growth_per_pv)}
+    assert "perhaps from 0, it" in remedy("nonlinear_loss", {"heat_share": 0.5, "growth_per_pv": 0.1}, ends)
 
 
 def test_a_reaction_without_heat_runs_away_nowhere():

@@ -5,7 +5,8 @@ at rest, and `e` times as much for each `1/c` of the PV, so that is
 
     ln(1/q)/c
 
-above the PV at rest (Semenov's limit, by the curve that the record shows).
+above the PV at rest (Semenov's limit, by the curve that the record shows), and at the upper ends of the intervals of
+both perhaps earlier.
 """
 
 from __future__ import annotations
@@ -74,12 +75,14 @@ REMEDIES: dict[str, str] = {
     "timing_jitter": "samples are taken up to {spread_s:.3g} s beside their time stamps: stamp them when read",
     "not_settled": "the process was not at rest at the beginning: wait longer before the next test",
 }
+REACTION = ("heat_share", "growth_per_pv")
+"""Sizes of a loss with the heat of a reaction."""
 RUNS_AWAY = (
     "a reaction gives back {share:.0%} of what the loss grows with the PV, and more with each degree. From {above:.3g} "
-    "above the PV at rest, it heats faster than the loss cools, and no constant output holds it: set an interlock well "
-    "below, and schedule the gains by the PV"
+    "above the PV at rest, perhaps from {earliest:.3g}, it heats faster than the loss cools, and no constant output "
+    "holds it: set an interlock well below, and schedule the gains by the PV"
 )
-"""Advice on a loss with the heat of a reaction."""
+"""Advice on such a loss."""
 TELLS_APART: dict[frozenset[str], str] = {
     frozenset({"backlash", "stiction"}): "a slow ramp of the output: play gives a smooth PV after it, sticking gives "
     "steps",
@@ -96,17 +99,23 @@ TELLS_APART: dict[frozenset[str], str] = {
 }
 
 
-def remedy(name: str, sizes: Mapping[str, float]) -> str:
-    """Return the advice on an effect, with its sizes."""
-    share, growth_per_pv = sizes.get("heat_share", 0.0), sizes.get("growth_per_pv", 0.0)
+def remedy(name: str, sizes: Mapping[str, float], interval95: Mapping[str, tuple[float, float]] | None = None) -> str:
+    """Return the advice on an effect, with its sizes, and where it depends on them also with their intervals."""
+    share, growth_per_pv = (sizes.get(size, 0.0) for size in REACTION)
     if share > 0.0 < growth_per_pv:
-        return RUNS_AWAY.format(share=share, above=math.log(1.0 / share) / growth_per_pv)
+        most = [(interval95 or {}).get(size, (0.0, sizes[size]))[1] for size in REACTION]
+        return RUNS_AWAY.format(share=share, above=_runs_away(share, growth_per_pv), earliest=_runs_away(*most))
     plugin = installed_effects().get(name)
     words = REMEDIES.get(name, "") if plugin is None else plugin.advice
     try:
         return words.format(**sizes)
     except KeyError:
         return words.split(":")[-1].strip()
+
+
+def _runs_away(share: float, growth_per_pv: float) -> float:
+    """Return how far above the PV at rest a reaction runs away, PV; 0 where that is not known."""
+    return math.log(1.0 / share) / growth_per_pv if share < 1.0 and growth_per_pv < math.inf else 0.0
 
 
 def separating(name: str, alike: Sequence[str]) -> list[str]:

@@ -293,7 +293,7 @@ def _effects(context: FitContext, found: Trace, chosen: Fitted) -> tuple[FoundEf
         alike_beside = (places[n] is effect.place or (outside and comes_from_outside(n, places[n])) for n in weights)
         here = sum(weight for weight, same in zip(weights.values(), alike_beside, strict=True) if same)
         sure = min(1.0 / (1.0 + sum(weights.values())), 0.999) * min(1.0, VISIBLE / left)
-        values = (sizes, interval, sure, alike, effect.form, remedy(name, sizes), sure * (1.0 + here))
+        values = (sizes, interval, sure, alike, effect.form, remedy(name, sizes, interval), sure * (1.0 + here))
         result.append(FoundEffect(name, effect.place.value, *values))
     inside = dict(zip(names, chosen.names, strict=True))
     return tuple(without_rounding(result, lambda e: -_weight(context, found, inside[e.name])))
@@ -400,6 +400,8 @@ def _summary(
     held = error["held_out"]
     noise = max(held.noise, SMALLEST_DIVISOR)
     ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
+    if held.expected > VISIBLE * held.noise:
+        ratio += f", where {held.expected / noise:.1f} are expected"
     names = " and ".join(e.name for e in effects)
     if verdict == "adequate":
         grave = [spot.words for spot in blind if spot.grave]
