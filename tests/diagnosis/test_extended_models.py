@@ -30,8 +30,8 @@ from autotuner.core.diagnosis.extended.extended_model import without_rounding
 from autotuner.core.diagnosis.extended.fit_context import bench_of, spread, thinned
 from autotuner.core.diagnosis.extended.fitting import fit, linearised, tangent
 from autotuner.core.diagnosis.extended.intervals import covariance, effect_intervals, process_covariance, whole_gain
+from autotuner.core.diagnosis.extended.left_open_later import error_left_open
 from autotuner.core.diagnosis.extended.repair import without_gaps
-from autotuner.core.diagnosis.extended.unknown_lateness import unknown_lateness
 from autotuner.core.diagnosis.findings.sensor_effects import fitted_to_intervals
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.diagnosis.record.sensor import Grid
@@ -336,10 +336,10 @@ def test_moves_of_unknown_lateness_leave_their_slopes():
     rows = np.arange(50, 200)
     since = rows - fitted.problem.view(fitted.theta, rows).position.times[1] - LAG.D
     error = np.where(since > 0.0, 4.0 / math.sqrt(12.0) * LAG.K * 10.0 * np.exp(-since / LAG.T) / LAG.T, 0.0)
-    found = unknown_lateness(fitted, fitted.problem.dataset, rows, 50.0, tested=True)
+    found = error_left_open(fitted, fitted.problem.dataset, rows, 50.0, tested=True)
     assert found == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=1e-6)
-    assert unknown_lateness(fitted, fitted.problem.dataset, rows, 50.0) == 0.0
-    assert unknown_lateness(fitted, fitted.problem.dataset, rows, 70.0, tested=True) == 0.0
+    assert error_left_open(fitted, fitted.problem.dataset, rows, 50.0) == 0.0
+    assert error_left_open(fitted, fitted.problem.dataset, rows, 70.0, tested=True) == 0.0
 
 
 def autoregressive(sigma, a, count, seed):
