@@ -22,6 +22,8 @@ from autotuner.core.identification.procedure import identify
 from autotuner.core.identification.result import most_unexplained
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.fit_context import FitContext
     from autotuner.core.diagnosis.findings.result import Misfit, Outcome
@@ -55,7 +57,9 @@ def doubts_about_sign(context: FitContext, found: Trace) -> list[str]:
     return [f"a process of the opposite gain, with {names} beside it, explains the record about as well"]
 
 
-def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outcome, fitted: Misfit) -> str | None:
+def why_no_gains(
+    recording: Recording, first: Base, found: Trace, verdict: Outcome, fitted: Misfit, sign: Sequence[str] = ()
+) -> str | None:
     """Return why no gains may be designed; None where they may.
 
     Parameters
@@ -70,7 +74,11 @@ def why_no_gains(recording: Recording, first: Base, found: Trace, verdict: Outco
         The verdict.
     fitted : Misfit
         The errors on the fitted part.
+    sign : sequence of str
+        Doubts about the sign of the gain.
     """
+    if sign:
+        return sign[0]
     if verdict == "explained":
         return None
     plain = first.best.process()

@@ -118,9 +118,8 @@ def reported(
 ) -> Diagnosis:
     """Return the diagnosis.
 
-    `context` has the record up to its test part, and `parts` the whole one. `found` is the search, `sensor` the
-    sensor's effects, `first` the process alone, `model` the declared model or None, and `requested` the design of
-    the gains.
+    `context` has the record up to its test part, `parts` the whole one. `found` is the search, `sensor` the sensor's
+    effects, `first` the process alone, `model` the declared model or None, `requested` the design of the gains.
     """
     effects, found, spread_s = _all_effects(context, found, sensor, model)
     coloured = coloured_noise(context, found.chosen) if all(e.form in OWN_ORDER for e in effects) else None
@@ -140,9 +139,7 @@ def reported(
     described = model_to_dict(alone.model)
     after = Known(final.process(), covariance) if kept else alone
     blind = blind_spots(context, found.chosen, found.noise)
-    barred = next(iter(sign), None)
-    if judged and barred is None:
-        barred = why_no_gains(parts.before_test, first, found, verdict, error["fitted"])
+    barred = why_no_gains(parts.before_test, first, found, verdict, error["fitted"], sign) if judged else None
     gains = NO_GAINS if barred else both_gains(alone, after, effects if kept else (), context.dataset, requested)
     missing = () if kept else dependences(context, found.alone, noise)
     notes = [
