@@ -20,6 +20,8 @@ from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.model.zoh_input import unit_step
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
@@ -50,22 +52,25 @@ def error_left_open(
 
 
 def _of_values_alike(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float) -> float:
-    """Return the root mean square difference to the same model with values that are alike until then, PV.
-
-    Each counts by its likelihood beside that of the candidate.
-    """
-    problem, at = candidate.problem, len(candidate.problem.structure.shape) + 1
-    here, squares = _simulated(candidate, dataset, rows), 0.0
+    """Return the root mean square difference to the same model with values that are alike until then, PV."""
+    problem, at, squares = candidate.problem, len(candidate.problem.structure.shape) + 1, 0.0
     for effect, p in zip(problem.effects, problem.split(candidate.theta)[2], strict=True):
         values = [] if effect.alike is None else effect.alike(p, after_s)
         thetas = [np.concatenate((candidate.theta[:at], v, candidate.theta[at + len(p) :])) for v in values]
-        alike = [fit(problem, theta, 0) for theta in thetas]
-        more = np.array([other.mean_square - candidate.mean_square for other in alike])
-        likely = np.exp(-0.5 * candidate.residual.size * np.maximum(more, 0.0) / candidate.misfit)
-        moved = [float(np.mean(np.square(_simulated(other, dataset, rows) - here))) for other in alike]
-        squares += float(likely @ moved) / max(float(likely.sum()), 1.0)
+        squares += _mean_square([fit(problem, theta, 0) for theta in thetas], candidate, dataset, rows)
         at += len(p)
     return math.sqrt(squares)
+
+
+def _mean_square(alike: Sequence[Fitted], candidate: Fitted, dataset: Dataset, rows: IntArray) -> float:
+    """Return the mean square difference of models to a candidate, PV squared, each by its likelihood beside that."""
+    if not alike:
+        return 0.0
+    here = _simulated(candidate, dataset, rows)
+    worse = np.maximum([other.mean_square - candidate.mean_square for other in alike], 0.0)
+    likely = np.exp(-0.5 * candidate.residual.size * worse / candidate.misfit)
+    squares = [float(np.mean(np.square(_simulated(other, dataset, rows) - here))) for other in alike]
+    return float(likely @ squares) / max(float(likely.sum()), 1.0)  # where all are unlikely, the candidate counts
 
 
 def _simulated(candidate: Fitted, dataset: Dataset, rows: IntArray) -> FloatArray:
