@@ -1,7 +1,7 @@
 """The verdict: one judgement for a diagnosis and for a tuning.
 
     expected^2 = noise^2 + error by the sensor's own effects (quantisation, uneven sampling)
-               + error by unknown delays of moves
+               + error by what the record leaves open (see `left_open_later`)
 
     adequate           no effect; at most 1.5 times the expected error on the fitted part, and 2 on the selection part,
                        or 3 for autoregressive noise, whose innovations were judged (see `coloured_noise`); or as much
