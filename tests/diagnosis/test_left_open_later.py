@@ -105,11 +105,11 @@ def test_nothing_is_left_open_by_a_process_alone():
 
 
 @pytest.mark.long  # each part is shown above
-@pytest.mark.parametrize(("key", "seed"), [("output_quantisation:even", 815), ("periodic_disturbance:sawtooth", 806)])
-def test_what_a_record_leaves_open_does_not_speak_against_the_explanation(key, seed):
-    hidden = record_of(Case(key, seed, "relay"))
+def test_an_output_that_may_be_rounded_either_way_does_not_speak_against_the_steps():
+    hidden = record_of(Case("output_quantisation:even", 815, "relay"))
     answer = diagnose(Recording.from_csv_text(hidden.csv()))
     assert answer.verdict == "explained"
-    assert [e.name for e in answer.effects] == [key.partition(":")[0]]
+    assert [e.name for e in answer.effects] == ["output_quantisation"]
     assert "speaks against" not in answer.summary
+    assert " are expected" in answer.summary
     assert any("the record leaves open how the effects act there" in note for note in answer.notes)
