@@ -13,12 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner.core.diagnosis.effects import catalogue
-from autotuner.core.diagnosis.effects.actuator.levels import step_grids
-from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
-    origin_of,
-    step_grids_in_loop,
-    update_grids_in_loop,
-)
+from autotuner.core.diagnosis.effects.actuator.levels import origin_of, step_grids
+from autotuner.core.diagnosis.effects.actuator.position_in_loop import step_grids_in_loop, update_grids_in_loop
 from autotuner.core.diagnosis.effects.actuator.saturation import saturations
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, one_later, spread_of, update_grids

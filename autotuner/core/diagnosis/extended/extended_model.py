@@ -291,6 +291,10 @@ class Fitted:
         shape, D, _ = self.problem.split(self.theta)
         return structure.model(shape, self.linear[: structure.gains].tolist(), D)
 
+    def on(self, dataset: Dataset) -> Fitted:
+        """Return the same numbers on another part of the record, in the same units."""
+        return replace(self, problem=replace(self.problem, dataset=dataset))
+
     def simulated(self, rows: IntArray) -> FloatArray:
         """Return the simulated PV at some samples, as deviation from the dataset's `pv0`."""
         dataset = self.problem.dataset

@@ -11,7 +11,6 @@ alike round another one differently, and jumps between two samples leave a perio
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.record.dataset import Dataset
-    from autotuner.core.model.arrays import FloatArray, IntArray
+    from autotuner.core.model.arrays import IntArray
 
 
 def error_left_open(
@@ -66,15 +65,11 @@ def _mean_square(alike: Sequence[Fitted], candidate: Fitted, dataset: Dataset, r
     """Return the mean square difference of models to a candidate, PV squared, each by its likelihood beside that."""
     if not alike:
         return 0.0
-    here = _simulated(candidate, dataset, rows)
+    here = candidate.on(dataset).simulated(rows)
     worse = np.maximum([other.mean_square - candidate.mean_square for other in alike], 0.0)
     likely = np.exp(-0.5 * candidate.residual.size * worse / candidate.misfit)
-    squares = [float(np.mean(np.square(_simulated(other, dataset, rows) - here))) for other in alike]
+    squares = [float(np.mean(np.square(other.on(dataset).simulated(rows) - here))) for other in alike]
     return float(likely @ squares) / max(float(likely.sum()), 1.0)  # where all are unlikely, the candidate counts
-
-
-def _simulated(candidate: Fitted, dataset: Dataset, rows: IntArray) -> FloatArray:
-    return replace(candidate, problem=replace(candidate.problem, dataset=dataset)).simulated(rows)
 
 
 def _of_lateness(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float, *, tested: bool) -> float:
@@ -86,7 +81,7 @@ def _of_lateness(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: f
             spread_s = effect.lateness_s(p)
     if spread_s == 0.0:
         return 0.0
-    view = replace(candidate.problem, dataset=dataset).view(candidate.theta, rows)
+    view = candidate.on(dataset).problem.view(candidate.theta, rows)
     moves = view.position.times > after_s - view.delay_s
     since = (view.t - view.delay_s)[:, None] - view.position.times[moves]
     slope = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]

@@ -102,7 +102,7 @@ TELLS_APART: dict[frozenset[str], str] = {
 def remedy(name: str, sizes: Mapping[str, float], interval95: Mapping[str, tuple[float, float]] | None = None) -> str:
     """Return the advice on an effect, with its sizes, and where it depends on them also with their intervals."""
     share, growth_per_pv = (sizes.get(size, 0.0) for size in REACTION)
-    if share > 0.0 < growth_per_pv:
+    if share > 0.0 and growth_per_pv > 0.0:
         most = [(interval95 or {}).get(size, (0.0, sizes[size]))[1] for size in REACTION]
         return RUNS_AWAY.format(share=share, above=_runs_away(share, growth_per_pv), earliest=_runs_away(*most))
     plugin = installed_effects().get(name)

@@ -5,7 +5,8 @@
                  every oscillation may be cause or response, of the effect alone
     bounded      half width of the 95 % interval, at most half of the value: one size of every effect; the gain of the
                  process and its response time T + D (for an underdamped one, the damping n of m s^2 + n s + 1)
-    sign         in a closed loop, the gain has the same sign without the effects
+    sign         in a closed loop, the gain has the same sign without the effects; and anywhere, no explanation with one
+                 of the other sign comes as near (see `gain_proof`)
     selection    its later half is fitted as well as the whole; the effects do not increase the error on it
     readings     a sensor that repeats its readings has sent enough new ones
     course       a load of free shape is not alone: it predicts nothing of what follows

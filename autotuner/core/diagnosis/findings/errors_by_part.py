@@ -10,7 +10,7 @@ part, both models are as fitted to the fitted part, and on the test part, as fit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -122,7 +122,7 @@ class Errors:
         """Return the PV of both models over the whole record."""
         rows = np.arange(self._whole.data.t.size)
         fits = [to_both_parts(self.context, f) for f in (self.before, self.after)]
-        before, after = (replace(f, problem=replace(f.problem, dataset=self._whole)).simulated(rows) for f in fits)
+        before, after = (f.on(self._whole).simulated(rows) for f in fits)
         return before, after
 
     @cached_property

@@ -58,7 +58,7 @@ def doubts_about_sign(context: FitContext, found: Trace) -> list[str]:
 
 
 def why_no_gains(
-    recording: Recording, first: Base, found: Trace, verdict: Outcome, fitted: Misfit, sign: Sequence[str] = ()
+    recording: Recording, first: Base, found: Trace, verdict: Outcome, fitted: Misfit, sign: Sequence[str]
 ) -> str | None:
     """Return why no gains may be designed; None where they may.
 

@@ -240,7 +240,7 @@ def _of_the_errors(held: Misfit, coloured: Innovations | None) -> list[str]:
         notes.append(TEST_REFUTES.format(held.after, held.before))
     if held.after > FEW * held.expected:
         notes.append(TEST_FAILS.format(held.after / max(held.expected, SMALLEST_DIVISOR)))
-    if held.expected > VISIBLE * held.noise:
+    if _is_open(held):
         notes.append(OPEN_LATER.format(held.expected, held.noise))
     if coloured is not None:
         notes.append(COLOURED.format(coloured.noise, coloured.fitted, coloured.selection))
@@ -253,6 +253,11 @@ def _of_the_gains(
     """Return the notes on the gains, and on why there are none."""
     unsolved = [] if gains is NO_GAINS else no_design_note(gains, known, requested)
     return [*calmer_note(gains), *missing_note(gains, effects), *unsolved]
+
+
+def _is_open(held: Misfit) -> bool:
+    """Return whether a correct model may visibly err by more than noise on the test part."""
+    return held.expected > VISIBLE * held.noise
 
 
 def _is_refuted(held: Misfit) -> bool:
@@ -397,7 +402,7 @@ def _summary(
     held = error["held_out"]
     noise = max(held.noise, SMALLEST_DIVISOR)
     ratio = f"{held.before / noise:.1f} to {held.after / noise:.1f} noise sigmas on the part kept for the test"
-    if held.expected > VISIBLE * held.noise:
+    if _is_open(held):
         ratio += f", where {held.expected / noise:.1f} are expected"
     names = " and ".join(e.name for e in effects)
     if verdict == "adequate":

@@ -34,8 +34,6 @@ SAME = 1e-3
 SMALLEST, LARGEST, STEPS = 0.01, 0.6, 1500
 """Steps tried, in swings; from the resting output and from zero of the scale, the two grids that devices have."""
 KEPT, APART = 3, 0.02
-REST, ZERO = "from the rest", "from zero"
-"""What the steps of an actuator count from."""
 
 
 def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, float]]]:
@@ -57,32 +55,35 @@ def step_grids(base: Fitted, rows: np.ndarray) -> dict[str, list[tuple[float, fl
         return {}
     levels = known * SAME  # in swings
     N, b = _normal(base, rows, index, known.size)
-    forms = (REST, ZERO)
-    origins = np.column_stack([_origins(dataset, form, steps) for form in forms])
+    zeros = zeros_of(dataset)
+    origins = np.column_stack([origin_of(steps, zero) for zero in zeros.values()])
     s, o = steps[:, None, None], (steps[:, None] * origins)[:, :, None]
     shifts = dataset.swing * (o + s * np.round((levels - o) / s) - levels)
     shifts = shifts - shifts[:, :, [index[0]]]
     fall = 2.0 * shifts @ b - np.einsum("sol,lm,som->so", shifts, N, shifts)
-    return {form: _likeliest(fall[:, k], steps, origins[:, k]) for k, form in enumerate(forms)}
+    return {form: _likeliest(fall[:, k], steps, origins[:, k]) for k, form in enumerate(zeros)}
 
 
-def _origins(dataset: Dataset, form: str, steps: FloatArray) -> FloatArray:
-    """Return the origins, in steps from the first output, of steps in swings."""
-    first = dataset.output0 / dataset.swing if form == ZERO else 0.0
-    origins: FloatArray = (-first / steps + 0.5) % 1.0 - 0.5
+def zeros_of(dataset: Dataset) -> dict[str, float]:
+    """Return, for each of what the steps of an actuator count from, one of their levels, swings from the first."""
+    return {"from the rest": 0.0, "from zero": -dataset.output0 / dataset.swing}
+
+
+def origin_of(steps: FloatArray, zero: float) -> FloatArray:
+    """Return where steps count from, in steps, if `zero` is one of their levels, in the unit of the steps."""
+    origins: FloatArray = (zero / steps + 0.5) % 1.0 - 0.5
     return origins
 
 
 def steps_alike(dataset: Dataset, form: str, step: float, until_s: float) -> list[tuple[float, float]]:
     """Return steps, in swings, that round every output until a time as a step does, and their origins, in steps."""
-    held = dataset.data.held
-    outputs = held.levels[held.times < until_s] + (dataset.output0 if form == ZERO else 0.0)
-    size = np.abs(outputs) / dataset.swing
+    held, zero = dataset.data.held, zeros_of(dataset)[form]
+    size = np.abs(held.levels[held.times < until_s] / dataset.swing - zero)
     count = np.round(size / step)
     lowest = float(np.max(size / (count + 0.5)))
     highest = float(np.min(size[count > 0] / (count[count > 0] - 0.5), initial=LARGEST))
     steps = between(lowest, highest)
-    return list(zip(steps.tolist(), _origins(dataset, form, steps).tolist(), strict=True))
+    return list(zip(steps.tolist(), origin_of(steps, zero).tolist(), strict=True))
 
 
 def _likeliest(fall: FloatArray, steps: FloatArray, origins: FloatArray) -> list[tuple[float, float]]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from autotuner.core.diagnosis.effects.actuator.levels import origin_of, zeros_of
 from autotuner.core.diagnosis.extended.extended_model import apart
 from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.waiting import waiting_of
@@ -92,17 +93,11 @@ def step_grids_in_loop(base: Fitted) -> dict[str, list[tuple[float, float]]]:
         return {}
     steps, part = np.geomspace(LEAST_STEP, most, STEPS), _Part(loop, loop.rows)
     found = {}
-    for form, zero in {"from the rest": 0.0, "from zero": -dataset.output0 / dataset.swing}.items():
+    for form, zero in zeros_of(dataset).items():
         origins = origin_of(steps, zero)
         best = _best(part.fall(loop.stepped(steps * dataset.swing, origins)), steps, KEPT_STEPS)
         found[form] = [(float(steps[k]), float(origins[k])) for k in best]
     return found
-
-
-def origin_of(steps: FloatArray, zero: float) -> FloatArray:
-    """Return where steps count from, in steps, if `zero` is one of their levels, in the unit of the steps."""
-    origins: FloatArray = (zero / steps + 0.5) % 1.0 - 0.5
-    return origins
 
 
 def _liveliest(dataset: Dataset, rows: IntArray) -> IntArray:

@@ -14,11 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autotuner.core.diagnosis.effects.actuator.position_in_loop import (
-    origin_of,
-    step_grids_in_loop,
-    update_grids_in_loop,
-)
+from autotuner.core.diagnosis.effects.actuator.levels import origin_of
+from autotuner.core.diagnosis.effects.actuator.position_in_loop import step_grids_in_loop, update_grids_in_loop
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first
