@@ -53,6 +53,9 @@ class Model:
     theta: tuple = ()
     keys: tuple = ()
 
+    def on(self, dataset):
+        return replace(self, problem=replace(self.problem, dataset=dataset))
+
     def simulated(self, rows):
         return self.curve[rows]
 
