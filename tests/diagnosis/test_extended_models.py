@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from autotuner.core.diagnosis.effects import catalogue
 from autotuner.core.diagnosis.effects.actuator.levels import origin_of, step_grids
-from autotuner.core.diagnosis.effects.actuator.position_in_loop import step_grids_in_loop, update_grids_in_loop
+from autotuner.core.diagnosis.effects.actuator.position_in_loop import update_grids_in_loop
 from autotuner.core.diagnosis.effects.actuator.saturation import saturations
 from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisation, updated_every
 from autotuner.core.diagnosis.effects.actuator.update_jitter import latenesses, one_later, spread_of, update_grids
@@ -441,15 +441,6 @@ def test_updates_in_a_loop_are_the_simulators(period_s):
     base = fitted_rows(at_the_truth(recording, Fopdt(LAG.K, LAG.T, LAG.D + period_s / 2.0)))
     found = update_grids_in_loop(base)
     assert found[0][0] == pytest.approx(period_s, rel=0.01)
-
-
-@pytest.mark.parametrize("step", [2.5, 4.0])
-def test_steps_in_a_loop_are_the_simulators(step):
-    recording = loop_record(OutputQuantisation(step))
-    base = fitted_rows(at_the_truth(recording, LAG))
-    size, origin = step_grids_in_loop(base)["from the rest"][0]
-    assert size * base.problem.dataset.swing == pytest.approx(step, rel=0.01)
-    assert origin == 0.0
 
 
 @settings(max_examples=50)

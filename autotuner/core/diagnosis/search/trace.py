@@ -19,6 +19,7 @@ from autotuner.core.diagnosis.extended.coloured_noise import is_noise_instead
 from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
+from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.acceptance import (
     dropped_back,
     is_accepted,
@@ -268,9 +269,13 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
 
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return effects that are searched with a process of their own, until one of them leaves only noise."""
+    """Return effects that are searched with a process of their own, until one of them leaves only noise.
+
+    Friction comes first where the valve is seen to stick, else updates and stages of the actuator.
+    """
     found: list[Fitted] = []
-    for search in (with_friction, with_friction_beside_a_load, with_positions):
+    sticks, searches = waiting_of(context.dataset).sticks, (with_friction, with_friction_beside_a_load)
+    for search in (*searches, with_positions) if sticks else (with_positions, *searches):
         found += search(context, base, effects)
         if any(is_noise(context, candidate) for candidate in found):
             return found

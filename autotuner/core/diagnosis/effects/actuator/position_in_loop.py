@@ -1,7 +1,7 @@
 """What an actuator does to a command that moves at every sample: by the answer of the process to its position.
 
     updates   v(t) = u(P (floor(t/P - phi) + phi))
-    steps     v = o + s round((u - o)/s)
+    stages    v = sum_j h_j [u > theta_j],   equal steps: theta_j = o + (k + j + 1/2) s
     y = sum_j h_{i-j} v_j,   fall = (r'y)^2 / |(I - Q Q') y|^2
 
 `h` answer of the process alone to a pulse of one sample, `r = (I - Q Q') pv`, `Q` an orthonormal basis of its
@@ -11,10 +11,16 @@ own; the whole position has one, and thousands are tried.
 The process alone has taken up half of an update period as dead time, which is added again. A period is known the better
 the longer the record: over `W` samples, one that is off by `1/(4 W)` updates a sample loses a quarter of its phase. So
 all periods are tried on the part of the record with most motion, and the best of them, ever finer, on all of it.
+
+Stages are the least squares over all heights that are not negative, of a threshold at each of many outputs. That is a
+convex problem, however far the process alone lies from the right one, and most heights are 0 (Lawson and Hanson,
+Solving Least Squares Problems, 1974, ch. 23; Slawski and Hein, Electron. J. Statist. 7, 2013). What a wrong process
+makes of one stage, several at neighbouring outputs, is merged to one, pair by pair.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -22,14 +28,16 @@ import numpy as np
 import scipy
 
 from autotuner.core.diagnosis.effects.actuator.levels import origin_of, zeros_of
+from autotuner.core.diagnosis.effects.actuator.stages import FEWEST, outputs_around
 from autotuner.core.diagnosis.extended.extended_model import apart
 from autotuner.core.diagnosis.extended.fitting import tangent
-from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.estimation.linear_least_squares import solve_linear
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 from autotuner.core.model.zoh_input import HeldInput
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
@@ -44,14 +52,18 @@ CARRIED, KEPT = 40, 6
 """Periods that are tried on the whole record, and how many are returned."""
 NEAR = np.arange(-6, 7) / 12.0
 """Around a period, in steps of the first part, and around a phase, in periods."""
+HIGHEST = 30
+"""Stages that may be merged, the highest ones: a wrong process makes more of them than an actuator has."""
+ROUNDING = 1e-12
+"""Share of the squares that counts as rounding: two thresholds without an output between them are one."""
 EVEN = 0.01
 """Deviation of a sampling interval, over it, up to which samples are even."""
 MOST_SAMPLES = 1500
 """Most samples of a record that is searched: the answers are a matrix of the square of that."""
 APART = 0.004
 """Least relative distance of two periods, or steps."""
-LEAST_STEP, MOST_STEP, STEPS, KEPT_STEPS = 0.03, 0.6, 500, 3
-"""Steps that are tried, in swings, and how many are returned."""
+THRESHOLDS, FINER = 150, 0.1 * np.arange(-20, 21)
+"""Thresholds that are tried over the range of the output, and around each known one, in distances of those."""
 
 
 def update_grids_in_loop(base: Fitted) -> list[tuple[float, float]]:
@@ -79,24 +91,54 @@ def update_grids_in_loop(base: Fitted) -> list[tuple[float, float]]:
     return [(float(finer[k]) * interval, float(moments[k] / finer[k] % 1.0)) for k in best]
 
 
-def step_grids_in_loop(base: Fitted) -> dict[str, list[tuple[float, float]]]:
-    """Return the likeliest (step, swings; origin, steps) of an actuator, by where its steps count from.
+def stages_in_loop(
+    base: Fitted, known: FloatArray, looseness: float, nearest: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return thresholds, in swings from the first output, and heights of the likeliest stages; None of fewer than two.
 
     Parameters
     ----------
     base : Fitted
         The process alone.
+    known : array of float, shape (J,)
+        Thresholds that were found before, in swings: around them, others are tried closer together.
+    looseness : float
+        Error over that of all stages up to which neighbours are merged; in any case where they are not significant.
+    nearest : float
+        Distance of two thresholds, in the largest one of neighbours, below which they are merged whatever it costs.
     """
-    loop, dataset = _Loop.of(base), base.problem.dataset
-    most = min(MOST_STEP, waiting_of(dataset).largest_step / dataset.swing)
-    if loop is None or most <= LEAST_STEP:
-        return {}
-    steps, part = np.geomspace(LEAST_STEP, most, STEPS), _Part(loop, loop.rows)
-    found = {}
+    loop, swing = _Loop.of(base), base.problem.dataset.swing
+    if loop is None:
+        return None
+    every = np.linspace(loop.output.min(), loop.output.max(), THRESHOLDS + 2)[1:-1]
+    near = swing * known[:, None] + (every[1] - every[0]) * FINER
+    thresholds, part = np.union1d(every, near), _Part(loop, loop.rows)
+    answers = math.copysign(1.0, float(base.linear[0])) * part.own(loop.staged(thresholds))
+    heights, _ = scipy.optimize.nnls(answers.T, part.left)
+    found = np.sort(np.argsort(-heights, kind="stable")[: min(np.count_nonzero(heights), HIGHEST)])
+    if found.size < FEWEST:
+        return None
+    kept, heights = _Merging(thresholds, answers, part.left).merged(found, looseness, nearest)
+    return np.mean(outputs_around(loop.output, thresholds[kept]), axis=0) / swing, heights
+
+
+def equal_steps(dataset: Dataset, thresholds: FloatArray) -> dict[str, list[tuple[float, float]]]:
+    """Return the (step, swings; origin, steps) of equal steps that pass some thresholds, by where they count from.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The recording.
+    thresholds : array of float, shape (J,)
+        Outputs at which stages in a row begin, in swings from the first output, the lowest first.
+    """
+    mean, found = float(thresholds[-1] - thresholds[0]) / (thresholds.size - 1), {}
     for form, zero in zeros_of(dataset).items():
-        origins = origin_of(steps, zero)
-        best = _best(part.fall(loop.stepped(steps * dataset.swing, origins)), steps, KEPT_STEPS)
-        found[form] = [(float(steps[k]), float(origins[k])) for k in best]
+        lowest = round((thresholds[0] - zero) / mean - 0.5) + np.array([-1, 0, 1])
+        numbers = lowest[:, None] + np.arange(thresholds.size) + 0.5
+        steps = numbers @ (thresholds - zero) / np.einsum("ij,ij->i", numbers, numbers)
+        steps = steps[steps > 0.0]
+        found[form] = list(zip(steps.tolist(), origin_of(steps, zero).tolist(), strict=True))
     return found
 
 
@@ -162,9 +204,10 @@ class _Loop:
             position += self.output[np.clip(updates, 0, self.output.size - 1).astype(int)] / PARTS
         return position
 
-    def stepped(self, steps: FloatArray, origins: FloatArray) -> FloatArray:
-        """Return positions in steps, output units, that count from an origin each, in steps."""
-        position: FloatArray = steps[:, None] * np.round(self.output / steps[:, None] - origins[:, None])
+    def staged(self, thresholds: FloatArray) -> FloatArray:
+        """Return for each threshold a position that is 1 above it, as deviation from the first."""
+        above = self.output > thresholds[:, None]
+        position: FloatArray = above.astype(float) - above[:, :1]
         return position
 
 
@@ -181,8 +224,54 @@ class _Part:
 
     def fall(self, positions: FloatArray) -> FloatArray:
         """Return by how much the squares fall with each position, shape (count, N)."""
-        answer = positions @ self.answers.T
-        own = answer - (answer @ self.basis) @ self.basis.T
+        own = self.own(positions)
         squares = np.einsum("ij,ij->i", own, own)
         falls: FloatArray = (own @ self.left) ** 2 / np.maximum(squares, SMALLEST_DIVISOR)
         return falls
+
+    def own(self, positions: FloatArray) -> FloatArray:
+        """Return what only each position, shape (count, N), brings to the PV."""
+        answer = positions @ self.answers.T
+        own: FloatArray = answer - (answer @ self.basis) @ self.basis.T
+        return own
+
+
+class _Merging:
+    """Stages whose neighbours are merged where that costs little, by the normal equations of all of them."""
+
+    def __init__(self, thresholds: FloatArray, answers: FloatArray, left: FloatArray) -> None:
+        self.thresholds, self.samples = thresholds, left.size
+        self.normal, self.right, self.total = answers @ answers.T, answers @ left, float(left @ left)
+
+    def merged(self, found: IntArray, looseness: float, nearest: float) -> tuple[IntArray, FloatArray]:
+        """Return which thresholds stay of those found, and their heights."""
+        squares, found, heights = self._solved(found)
+        most, insignificant = looseness**2 * squares, 2.0 * math.log(self.samples)
+        while found.size > FEWEST:
+            gaps = np.diff(self.thresholds[found])
+            near = np.flatnonzero(gaps < nearest * gaps.max())
+            pairs = (near if near.size else np.arange(gaps.size)).tolist()
+            rivals = (self._solved(fewer) for k in pairs for fewer in self._in_one(found, heights, k))
+            rival = min(rivals, key=lambda solved: solved[0])
+            cost = self.samples * math.log(rival[0] / squares)
+            if rival[1].size < FEWEST or (not near.size and rival[0] > most and cost > insignificant):
+                break
+            squares, found, heights = rival
+        return found, heights
+
+    def _in_one(self, found: IntArray, heights: FloatArray, k: int) -> Iterator[IntArray]:
+        """Yield the thresholds with the k-th and the next in one place: that of either, or of their mean by height."""
+        pair = slice(k, k + 2)
+        mean = np.average(self.thresholds[found[pair]], weights=heights[pair])
+        middle = int(np.abs(self.thresholds - mean).argmin())
+        for place in {*found[pair].tolist(), middle}:
+            yield np.concatenate((found[:k], [place], found[k + 2 :]))
+
+    def _solved(self, places: IntArray) -> tuple[float, IntArray, FloatArray]:
+        """Return the squares that some thresholds leave, those of them with a height, and the heights."""
+        normal, right = self.normal[np.ix_(places, places)], self.right[places]
+        heights: FloatArray = scipy.linalg.lstsq(normal, right, cond=ROUNDING, check_finite=False)[0]
+        if places.size and heights.min() <= 0.0:
+            return self._solved(places[heights > 0.0])
+        left = self.total - 2.0 * float(heights @ right) + float(heights @ normal @ heights)
+        return max(left, ROUNDING * self.total), places, heights
