@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 
 from autotuner.core.diagnosis.effects.actuator.levels import origin_of, zeros_of
-from autotuner.core.diagnosis.effects.actuator.stages import FEWEST, outputs_around
+from autotuner.core.diagnosis.effects.actuator.stages import FEWEST, outputs_around, passed
 from autotuner.core.diagnosis.extended.extended_model import apart
 from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.estimation.linear_least_squares import solve_linear
@@ -113,13 +113,14 @@ def stages_in_loop(
     every = np.linspace(loop.output.min(), loop.output.max(), THRESHOLDS + 2)[1:-1]
     near = swing * known[:, None] + (every[1] - every[0]) * FINER
     thresholds, part = np.union1d(every, near), _Part(loop, loop.rows)
-    answers = math.copysign(1.0, float(base.linear[0])) * part.own(loop.staged(thresholds))
+    answers = math.copysign(1.0, float(base.linear[0])) * part.own(passed(loop.output, thresholds))
     heights, _ = scipy.optimize.nnls(answers.T, part.left)
     found = np.sort(np.argsort(-heights, kind="stable")[: min(np.count_nonzero(heights), HIGHEST)])
     if found.size < FEWEST:
         return None
     kept, heights = _Merging(thresholds, answers, part.left).merged(found, looseness, nearest)
-    return np.mean(outputs_around(loop.output, thresholds[kept]), axis=0) / swing, heights
+    middles = np.mean(outputs_around(loop.output, thresholds[kept]), axis=0) / swing
+    return (middles, heights) if np.all(np.diff(middles) > 0.0) else None
 
 
 def equal_steps(dataset: Dataset, thresholds: FloatArray) -> dict[str, list[tuple[float, float]]]:
@@ -202,12 +203,6 @@ class _Loop:
             when = np.arange(self.output.size) + (k + 0.5) / PARTS + np.minimum(P / 2.0, delay)
             updates = at + P * np.floor((when - at) / P)
             position += self.output[np.clip(updates, 0, self.output.size - 1).astype(int)] / PARTS
-        return position
-
-    def staged(self, thresholds: FloatArray) -> FloatArray:
-        """Return for each threshold a position that is 1 above it, as deviation from the first."""
-        above = self.output > thresholds[:, None]
-        position: FloatArray = above.astype(float) - above[:, :1]
         return position
 
 

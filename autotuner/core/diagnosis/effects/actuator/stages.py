@@ -117,7 +117,14 @@ def _moved_to_the_next(view: View, thresholds: FloatArray) -> list[FloatArray]:
 
 
 def _passed(held: HeldInput, thresholds: FloatArray) -> HeldInput:
-    """Return an input for each threshold, shape (J, C): 1 while the output is above it, as deviation from the first."""
-    above = held.levels > thresholds[:, None]
-    changed = np.append(np.array([True]), np.any(np.diff(above, axis=1), axis=0))
-    return HeldInput(held.times[changed], above[:, changed].astype(float) - above[:, :1])
+    """Return an input for each threshold, shape (J, C), as deviation from the first: see `passed`."""
+    levels = passed(held.levels, thresholds)
+    changed = np.append(np.array([True]), np.any(np.diff(levels, axis=1) != 0.0, axis=0))
+    return HeldInput(held.times[changed], levels[:, changed])
+
+
+def passed(outputs: FloatArray, thresholds: FloatArray) -> FloatArray:
+    """Return for each threshold, shape (J, N), 1 where an output is above it, as deviation from the first output."""
+    above = (outputs > thresholds[:, None]).astype(float)
+    levels: FloatArray = above - above[:, :1]
+    return levels

@@ -84,9 +84,10 @@ def with_positions(context: FitContext, base: Base, effects: Sequence[Effect]) -
         return []
     origins = list({id(o): o for o in (base.best, *base.origins)}.values())
     found = _with_even_updates(context, origins[:2])
-    for of in (origins, _with_drift(context, origins[:2], effects)):
+    for drifts in (False, True):
         if not any(_leaves_noise(context, c) for c in found):
-            found += _with_stages_or_steps(context, of)
+            processes = _with_drift(context, origins[:2], effects) if drifts else origins
+            found += _with_stages_or_steps(context, processes)
     nearer = (c for c in found if c.rms < NEARER * base.best.rms)
     return [c for c in (refined(context, f) for f in nearer) if is_physical(c)]
 
@@ -154,9 +155,7 @@ def _from_their_process(context: FitContext, nearest: Sequence[Fitted]) -> list[
     for _ in range(AGAIN):
         if not nearest or context.dataset.budget.spent:
             break
-        *others, last = nearest[0].problem.effects
-        left = nearest[0].theta[: -len(last.searched)]
-        again = closest_first(_with_updates(context, fit(replace(nearest[0].problem, effects=tuple(others)), left, 0)))
+        again = closest_first(_with_updates(context, alone_beside(context, nearest[0])))
         if not again or SAME * again[0].rms >= nearest[0].rms:
             break
         nearest, found = again, [*found, *again]
