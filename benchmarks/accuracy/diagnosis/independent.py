@@ -321,7 +321,8 @@ def summary_of_intervals(rows: list[Row]) -> list[str]:
     sizes = [tuple(size[1:]) for r in rows for size in r.get("sizes", ())]
     explained = [tuple(size[1:]) for r in rows if r["verdict"] == "explained" for size in r.get("sizes", ())]
     gains = [tuple(r["K"]) for r in rows if r.get("K") is not None]
-    parts = (("sizes", sizes), ("sizes where explained", explained), ("gains K", gains))
+    visible = [tuple(r["K"]) for r in rows if r.get("visible") and r.get("K") is not None]
+    parts = (("sizes", sizes), ("sizes where explained", explained), ("gains K", gains), ("gains K, visible", visible))
     return [f"95 % intervals of {words} hold the truth: {held(found)}" for words, found in parts if found]
 
 
