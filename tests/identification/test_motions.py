@@ -155,3 +155,12 @@ def test_recurrences_equal_their_loops(rows):
     assert accumulate(p00, g0) == pytest.approx(np.array(x), rel=1e-9, abs=1e-9 * scale)
     pair = accumulate_states(np.array(rows)[:, :4].T.reshape(2, 2, -1), np.array(rows)[:, 4:])
     assert pair == pytest.approx(np.array(y), rel=1e-9, abs=1e-9 * scale)
+
+
+def test_moves_that_change_no_level_are_left_out():
+    times = np.arange(5.0)
+    one = HeldInput(times, np.array([0.0, 2.0, 2.0, 0.0, 0.0])).without_repeats()
+    both = HeldInput(times, np.array([[0.0, 0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 3.0, 3.0, 3.0]])).without_repeats()
+    assert (one.times.tolist(), one.levels.tolist()) == ([0.0, 1.0, 3.0], [0.0, 2.0, 0.0])
+    assert both.times.tolist() == [0.0, 2.0, 3.0]
+    assert both.levels.tolist() == [[0.0, 0.0, 1.0], [0.0, 3.0, 3.0]]

@@ -67,6 +67,12 @@ class HeldInput:
         """Return the same levels with every change but the start that much later, s."""
         return HeldInput(np.concatenate((self.times[:1], self.times[1:] + by_s)), self.levels, self.slack_s)
 
+    def without_repeats(self) -> HeldInput:
+        """Return the same input, of exact times, without those at which no level changes."""
+        moves = np.atleast_2d(self.steps)[:, 1:].any(axis=0)
+        kept = np.append(np.array([True]), moves)
+        return HeldInput(self.times[kept], self.levels[..., kept])
+
     def locate(self, when: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return, for each time of `when`, the change before it and the time since it, s; before the start 0 s."""
         index = np.maximum(np.searchsorted(self.times, when, side="right") - 1, 0)

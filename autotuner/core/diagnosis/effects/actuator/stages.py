@@ -51,8 +51,7 @@ def unequal_stages(dataset: Dataset, thresholds: FloatArray, heights: FloatArray
 
     def position(held: HeldInput, p: Sequence[float], _: Dataset) -> HeldInput:
         v = known @ (held.levels > swing * np.array(p)[:, None]) + further(held.levels)
-        changed = np.append(np.array([True]), np.diff(v) != 0.0)
-        return HeldInput(held.times[changed], (v - v[0])[changed])
+        return HeldInput(held.times, v - v[0]).without_repeats()
 
     def in_all(c: Sequence[float], gain: float) -> FloatArray:
         result: FloatArray = known + np.diff(c, prepend=0.0, append=0.0) / gain
@@ -112,15 +111,9 @@ def _further(dataset: Dataset, thresholds: FloatArray, height: float) -> Callabl
 
 def _moved_to_the_next(view: View, thresholds: FloatArray) -> list[FloatArray]:
     """Return what a unit of height at each threshold but the last brings that the next one loses."""
-    steps = _passed(view.dataset.data.held, thresholds)
+    held = view.dataset.data.held
+    steps = HeldInput(held.times, passed(held.levels, thresholds)).without_repeats()
     return list(view.forced(HeldInput(steps.times, steps.levels[:-1] - steps.levels[1:])))
-
-
-def _passed(held: HeldInput, thresholds: FloatArray) -> HeldInput:
-    """Return an input for each threshold, shape (J, C), as deviation from the first: see `passed`."""
-    levels = passed(held.levels, thresholds)
-    changed = np.append(np.array([True]), np.any(np.diff(levels, axis=1) != 0.0, axis=0))
-    return HeldInput(held.times[changed], levels[:, changed])
 
 
 def passed(outputs: FloatArray, thresholds: FloatArray) -> FloatArray:

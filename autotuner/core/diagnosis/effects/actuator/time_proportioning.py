@@ -139,6 +139,4 @@ def pulses(
     levels = np.tile((full - output0, -output0), looks.size)
     lasting = np.append(np.diff(times) > 0.0, [True])
     times, levels = times[lasting], levels[lasting]
-    changed = np.append([True], np.diff(levels) != 0.0)
-    start = times[0] - period_s
-    return HeldInput(np.append(start, times[changed]), np.append(0.0, levels[changed]))
+    return HeldInput(np.append(times[0] - period_s, times), np.append(0.0, levels)).without_repeats()
