@@ -19,6 +19,7 @@ from autotuner.core.diagnosis.effects.jumps import jump_moments
 from autotuner.core.diagnosis.effects.process.gain_in_time import gains_in_time, times_curve
 from autotuner.core.diagnosis.effects.sawtooth import RegularJumps, sawtooth
 from autotuner.core.diagnosis.effects.waves import lines_of_all, spectral_lines, wave_at_the_input
+from autotuner.core.diagnosis.extended.effect import Seen
 from autotuner.core.diagnosis.extended.fitting import tangent
 from autotuner.core.diagnosis.record.dataset import dataset_of
 from autotuner.core.model.zoh_input import HeldInput
@@ -244,11 +245,11 @@ def test_the_jumps_of_a_sawtooth_are_seen_again_on_more_samples():
     dataset = dataset_of(Recording(t, alone.output, alone.pv + wave))
     noise = np.random.default_rng(1).normal(0.0, 0.05, t.size)
     (few,) = sawtooth(dataset, [wave + noise])
-    seen = few.seen_again(np.arange(t.size), wave + noise)
+    seen = few.seen_again(Seen(None, np.arange(t.size), wave + noise, 1.0))
     (low, high), (least, most) = ((e.searched[0].low, e.searched[0].high) for e in (few, seen))
     assert low <= least <= 29.37 <= most <= high
     assert most - least < high - low
-    assert few.seen_again(np.arange(t.size), noise) is None
+    assert few.seen_again(Seen(None, np.arange(t.size), noise, 1.0)) is None
 
 
 @pytest.mark.parametrize("irregular", [0.0, 4.0])

@@ -302,7 +302,9 @@ def test_a_further_effect_has_its_weight_in_the_whole_fall_or_leaves_noise_alone
 def test_a_third_effect_has_to_complete_the_explanation(effects, before, after, expected):
     _, context = seen_of(COURSE)
     alone, first, last = (model_of(context, COURSE, size * WHITE[0]) for size in (10.0, before, after))
-    named = tuple(SimpleNamespace(measured=k == 0, reads_as=None) for k in range(effects + 1))  # the first has a column
+    named = tuple(
+        SimpleNamespace(measured=k == 0, reads_as=None, unseen_after=False) for k in range(effects + 1)
+    )  # the first has a column
     last = replace(last, problem=replace(last.problem, effects=named))
     assert weighs_enough(context, alone, first, last) is expected
 
@@ -316,7 +318,7 @@ def test_what_the_output_does_is_no_correction_of_a_large_drift(first, second, e
     _, context = seen_of(COURSE)
     alone, before, after = (model_of(context, COURSE, size * WHITE[0]) for size in (100.0, 2.0, 1.0))
     effects = [
-        SimpleNamespace(name=name, place=place, measured=False, reads_as=None)
+        SimpleNamespace(name=name, place=place, measured=False, reads_as=None, unseen_after=False)
         for name, place in (("first", first), ("second", second))
     ]
     before = replace(before, problem=replace(before.problem, effects=tuple(effects[:1])))
@@ -329,7 +331,9 @@ def test_what_the_output_does_is_no_correction_of_a_large_drift(first, second, e
 
 def beside_a_free_load(context, *errors, size=3):
     model = model_of(context, COURSE, by_parts(*errors, 0.0), size=size)
-    effects = tuple(SimpleNamespace(reads_as=reads_as, key="", rank=0) for reads_as in ("ambient", None))
+    effects = tuple(
+        SimpleNamespace(reads_as=reads_as, key="", rank=0, unseen_after=False) for reads_as in ("ambient", None)
+    )
     return replace(model, problem=replace(model.problem, effects=effects))
 
 

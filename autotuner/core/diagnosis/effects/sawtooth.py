@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.effects.waves import price_of_a_period
-from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, View, between
+from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, Seen, View, between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
-    from autotuner.core.model.arrays import FloatArray, IntArray
+    from autotuner.core.model.arrays import FloatArray
 
 OUTSTANDING, FEWEST_JUMPS = 8.0, 4
 """Least ratio of a jump to the median difference of samples, 5.4 sigmas of white noise; fewest jumps of a sawtooth."""
@@ -100,9 +100,9 @@ def _with(jumps: RegularJumps, dataset: Dataset, known_until_s: float) -> Effect
         known = np.floor((view.t - start_s) / middle_s)
         return [2.0 * (turns - np.where(view.t <= known_until_s, known, np.floor(turns))) - 1.0]
 
-    def seen_again(rows: IntArray, residual: FloatArray) -> Effect | None:
-        t = dataset.data.t[rows]
-        again = RegularJumps.of(t, residual)
+    def seen_again(seen: Seen) -> Effect | None:
+        t = dataset.data.t[seen.rows]
+        again = RegularJumps.of(t, seen.left)
         return None if again is None else _with(again, dataset, float(t[-1]))
 
     return Effect(

@@ -107,6 +107,31 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Samples, and what a model leaves of them to one of its effects.
+
+    Attributes
+    ----------
+    view : View
+        The simulation, at all samples until the last of these.
+    rows : array of int, shape (N,)
+        The samples.
+    left : array of float, shape (N,)
+        PV there, less everything but what the effect itself adds to it.
+    gain : float
+        Gain of the process, PV per output.
+    alone : bool
+        Whether nothing else acts on the input of the process, or on its response.
+    """
+
+    view: View
+    rows: IntArray
+    left: FloatArray
+    gain: float
+    alone: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Effect:
     """One effect in one form.
 
@@ -162,8 +187,8 @@ class Effect:
     alike : callable, optional
         From the values of `searched` and a time, s, other values that nothing until then distinguishes from them.
     seen_again : callable, optional
-        From samples and the PV there beside everything else, the effect as those show it, None where they do not: for
-        numbers that no fit can move, since they are known to a sample.
+        From samples, the effect as those show it, None where they do not: for numbers that no fit can move, since they
+        are known to a sample, or are of a single event.
     blur : callable, optional
         From the values of `searched`, by how much the record leaves sizes open on either side, whatever the noise.
     other_forms : tuple of Effect
@@ -198,7 +223,7 @@ class Effect:
     means: Callable[[Sequence[float], Sequence[float], float, Sequence[float]], bool] | None = None
     lateness_s: Callable[[Sequence[float]], float] | None = None
     alike: Callable[[Sequence[float], float], Sequence[Sequence[float]]] | None = None
-    seen_again: Callable[[IntArray, FloatArray], Effect | None] | None = None
+    seen_again: Callable[[Seen], Effect | None] | None = None
     blur: Callable[[Sequence[float]], Mapping[str, float]] | None = None
     other_forms: tuple[Effect, ...] = ()
     next_terms: tuple[Effect, ...] = ()

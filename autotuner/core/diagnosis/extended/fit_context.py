@@ -16,6 +16,7 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.extended_model import closest_first, plainness, without_rounding
 from autotuner.core.diagnosis.extended.left_open_later import error_left_open
+from autotuner.core.diagnosis.extended.seen_again import with_own_events
 from autotuner.core.estimation.candidate import MANY_STRUCTURES
 from autotuner.core.signals.noise import inflation, rms
 
@@ -72,8 +73,9 @@ class FitContext:
         return 1.0 if rms(residual) <= self.dataset.floor else inflation(residual)
 
     def held_out_residual(self, candidate: Fitted) -> FloatArray:
-        """Return measured minus simulated on the part that was not fitted, PV."""
-        residual: FloatArray = self.dataset.data.pv[self.held_out] - candidate.simulated(self.held_out)
+        """Return measured minus simulated on the part not fitted, PV; single events are as that part shows them."""
+        seen = with_own_events(candidate, self.dataset, self.dataset.data.t.size)
+        residual: FloatArray = self.dataset.data.pv[self.held_out] - seen.simulated(self.held_out)
         return residual
 
     def held_out_error(self, candidate: Fitted) -> float:

@@ -1,6 +1,7 @@
 """Expected error of a correct model by what the fitted samples leave open.
 
     var e(t) = s^2 sum_i (K du_i g'(t - t_i - D))^2,   over the moves without a fitted delay
+    e(t) = y(t; seen again) - y(t),              updates of an actuator in a loop, as that part shows them
     var e(t) = sum_v p_v (y(t; v) - y(t))^2,     v values that the fitted samples do not distinguish, p_v likelihood
 
 `s` standard deviation of the delay, s, `g` unit-gain step response, `y` simulated PV. An actuator that updates at its
@@ -16,7 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from autotuner.core.diagnosis.extended.fitting import fit
+from autotuner.core.diagnosis.extended.seen_again import with_own_events
 from autotuner.core.model.zoh_input import unit_step
+from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,6 +77,9 @@ def _mean_square(alike: Sequence[Fitted], candidate: Fitted, dataset: Dataset, r
 
 def _of_lateness(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float, *, tested: bool) -> float:
     """Return the root mean square error that unknown latenesses make, PV."""
+    seen = with_own_events(candidate, dataset, int(rows[-1]) + 1)
+    if seen is not candidate:
+        return rms(seen.simulated(rows) - candidate.on(dataset).simulated(rows))
     _, _, values = candidate.problem.split(candidate.theta)
     spread_s = 0.0
     for effect, p in zip(candidate.problem.effects, values, strict=True):

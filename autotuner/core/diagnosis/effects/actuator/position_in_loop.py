@@ -143,6 +143,13 @@ def equal_steps(dataset: Dataset, thresholds: FloatArray) -> dict[str, list[tupl
     return found
 
 
+def shows_positions(dataset: Dataset) -> bool:
+    """Return whether a record is a loop's, evenly sampled, and neither short nor very long."""
+    rows = np.flatnonzero(dataset.fitted)
+    is_even = bool(np.ptp(np.diff(dataset.data.t)) <= EVEN * dataset.data.interval_s)
+    return dataset.in_loop and is_even and FIRST_PART < rows.size <= int(rows[-1]) + 1 <= MOST_SAMPLES
+
+
 def _liveliest(dataset: Dataset, rows: IntArray) -> IntArray:
     """Return the part of the samples over which the PV moves most."""
     moved = np.cumsum(np.abs(np.diff(dataset.data.pv[rows], prepend=dataset.data.pv[rows[0]])))
@@ -180,13 +187,12 @@ class _Loop:
 
     @classmethod
     def of(cls, base: Fitted) -> _Loop | None:
-        """Return it; None for a record that is short, very long or unevenly sampled, or no loop's."""
+        """Return it; None where positions are not searched."""
         dataset = base.problem.dataset
+        if not shows_positions(dataset):
+            return None
         t, interval, held = dataset.data.t, dataset.data.interval_s, dataset.data.held
         rows = np.flatnonzero(dataset.fitted)
-        is_even = np.ptp(np.diff(t)) <= EVEN * interval
-        if not dataset.in_loop or not is_even or not FIRST_PART < rows.size <= rows[-1] + 1 <= MOST_SAMPLES:
-            return None
         count = int(rows[-1]) + 1
         pulse = HeldInput(np.array([0.0, interval]), np.array([1.0, 0.0]))
         answer = base.problem.view(base.theta, np.arange(count)).forced(pulse)

@@ -21,6 +21,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first, plai
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
 from autotuner.core.diagnosis.search.exchange import exchanged, first_number, values_of
+from autotuner.core.diagnosis.search.joint.times_of_updates import with_times_of_updates
 from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
@@ -69,11 +70,13 @@ FLOW, PAIR = "flow_delay", 2
 def with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[Fitted, list[Fitted]]:
     """Return delays of single moves as explanation of a record that nothing else explains."""
     named = bool(best.problem.effects)
-    if named and best.rms < VISIBLE * noise_of(context, best):
+    updated = any(effect.clocked for effect in best.problem.effects) and context.dataset.in_loop
+    if named and best.rms < (NOTHING_LEFT if updated else VISIBLE) * noise_of(context, best):
         return best, []
     most = context.held_out_error(best) if named else WORSE * context.held_out_error(base.best)
     found = with_own_times(context, base)
-    found = [*found, *(even for timed in found[:1] for even in _on_a_grid(context, timed))]
+    if not context.dataset.in_loop:
+        found += [even for timed in found[:1] for even in _on_a_grid(context, timed)]
     inflated = min((context.colour(c) for c in found), default=1.0)
     better = [c for c in found if context.criterion(c, inflated) < context.criterion(best, inflated)]
     better = [c for c in better if c.rms < _most_left(best, c) * best.rms and _spread_of_times(c) > LATE]
@@ -82,9 +85,11 @@ def with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[
 
 
 def with_own_times(context: FitContext, base: Base, fewest: int = FEWEST) -> list[Fitted]:
-    """Return the process with delays of single moves of an output in open loop."""
-    if context.dataset.in_loop or context.dataset.budget.spent:
+    """Return the process with delays of single moves; in a loop, whose every sample has one, with times of updates."""
+    if context.dataset.budget.spent:
         return []
+    if context.dataset.in_loop:
+        return [*with_times_of_updates(context, base)]
     origins = {id(o): o for o in (base.best, *base.origins[:1])}.values()
     timed = [(origin, uneven_updates(origin, context.coarse, fewest)) for origin in origins]
     found = [c for origin, effect in timed if effect is not None for c in extend(context, [origin], [effect])]
@@ -212,10 +217,12 @@ def _is_as_good(context: FitContext, timed: Fitted, most: float) -> bool:
 def _most_left(best: Fitted, timed: Fitted) -> float:
     """Return the misfit over that of the best explanation under which updates are accepted.
 
-    Those at even times are two numbers, and one effect: they need not be much closer than several effects together.
+    Those at even times are two numbers, and one effect: they need not be much closer than several effects together. In
+    a loop, the times of the other part are found beside the same process, which shows more than the misfit.
     """
     even = timed.problem.effects[0].form != "uneven"
-    return 1.0 if even and len(best.names) > 1 else UNEVEN
+    in_loop = timed.problem.dataset.in_loop
+    return 1.0 if in_loop or (even and len(best.names) > 1) else UNEVEN
 
 
 def late_instead(context: FitContext, base: Base, chosen: Fitted) -> list[Fitted]:

@@ -125,14 +125,14 @@ def _with_stages(context: FitContext, origin: Fitted) -> list[Fitted]:
         known = stages[0]
         problem = replace(process.problem, effects=(*origin.problem.effects, unequal_stages(context.dataset, *stages)))
         candidate = fit(replace(problem, rows=context.coarse), np.concatenate((process.theta, known)), COARSE_STEPS)
-        found.append(_with_two_lags(candidate))
+        found.append(with_two_lags(candidate))
         if found[0].rms > FIRST * origin.rms:
             return []
         process = alone_beside(context, found[-1], *origin.problem.effects)
     return [context.best(found)] if found else []
 
 
-def _with_two_lags(candidate: Fitted) -> Fitted:
+def with_two_lags(candidate: Fitted) -> Fitted:
     """Return a candidate with a second lag where that is closer."""
     if candidate.problem.structure is not FOPDT:
         return candidate
