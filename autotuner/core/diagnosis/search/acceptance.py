@@ -9,10 +9,10 @@ from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.judge import (
     NOISE_ELSEWHERE,
-    NOTHING_LEFT,
     VISIBLE,
     is_foreseen,
     is_helpful,
+    is_near_noise,
     is_supported,
     noise_of,
     weigh,
@@ -40,7 +40,7 @@ def is_noise(context: FitContext, candidate: Fitted) -> bool:
 
 def leaves_white_noise(context: FitContext, candidate: Fitted) -> bool:
     """Return whether a candidate leaves white noise of the size that the sensor has on the fitted part."""
-    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and context.colour(candidate) == 1.0
+    return is_near_noise(context, candidate) and context.colour(candidate) == 1.0
 
 
 def is_near_later(context: FitContext, candidate: Fitted) -> bool:
@@ -62,7 +62,7 @@ def _predicts_instead(context: FitContext, before: Fitted, after: Fitted) -> boo
     """Return whether effects of fewer numbers, which predict the other part, leave noise in place of a free load."""
     if not is_free_load(context, before) or any(e.reads_as is not None for e in after.problem.effects):
         return False
-    leaves_noise = after.rms < NOTHING_LEFT * noise_of(context, after) and is_near_later(context, after)
+    leaves_noise = is_near_noise(context, after) and is_near_later(context, after)
     return leaves_noise and context.criterion(after, 1.0) < context.criterion(before, 1.0)
 
 

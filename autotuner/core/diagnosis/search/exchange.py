@@ -14,7 +14,7 @@ from autotuner.core.diagnosis.extended.effect import Place
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import is_near_later
-from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, noise_of
+from autotuner.core.diagnosis.search.judge import is_near_noise
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     FINE_STEPS,
@@ -146,7 +146,7 @@ def with_other_starts(context: FitContext, found: Sequence[Fitted]) -> list[Fitt
 
 
 def _fails_later(context: FitContext, candidate: Fitted) -> bool:
-    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate) and not is_near_later(context, candidate)
+    return is_near_noise(context, candidate) and not is_near_later(context, candidate)
 
 
 def _from_each_start(context: FitContext, chosen: Fitted, effect: Effect) -> list[Fitted]:

@@ -114,6 +114,16 @@ def noise_of(context: FitContext, candidate: Fitted) -> float:
     return math.hypot(max(sigma, dataset.grid_noise), dataset.floor)
 
 
+def is_near_noise(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether a candidate leaves about as much of the fitted samples as noise does."""
+    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate)
+
+
+def is_visible(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether what a candidate leaves of the fitted samples is more than an adequate model may."""
+    return candidate.rms >= VISIBLE * noise_of(context, candidate)
+
+
 def weigh(context: FitContext, before: Fitted, after: Fitted) -> Evidence:
     """Return the evidence for `after`, which has one effect more than `before`."""
     inflated = context.colour(after)

@@ -26,7 +26,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.intervals import shares_beside
 from autotuner.core.diagnosis.search.exchange import first_number, in_near_forms
-from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.search.judge import is_visible
 from autotuner.core.diagnosis.search.search import FINE_STEPS, QUICK_STEPS, within
 from autotuner.core.model.structures import FOPDT, SECOND_ORDER, THIRD_ORDER
 
@@ -55,7 +55,7 @@ def neighbours(context: FitContext, chosen: Fitted, pool: tuple[Fitted, ...] = (
     All are as fitted to the fitted and the selection part together.
     """
     final = to_both_parts(context, chosen)
-    if chosen.rms > VISIBLE * noise_of(context, chosen):
+    if is_visible(context, chosen):
         return ((1.0, final),)
     lag = one_lag_more(context, chosen)
     others = (other for effect in chosen.problem.effects for other in in_near_forms(context, chosen, effect))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.search.acceptance import is_noise
-from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, is_beside_free_load, noise_of
+from autotuner.core.diagnosis.search.judge import is_beside_free_load, is_near_noise
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     alone_beside,
@@ -90,7 +90,7 @@ def with_each_searched_again(
     tried: list[Fitted] = []
     if not has_several(context, chosen):
         return chosen, tried
-    is_left = chosen.rms >= NOTHING_LEFT * noise_of(context, chosen)
+    is_left = not is_near_noise(context, chosen)
     for effect in chosen.problem.effects:
         kept = [e for e in chosen.problem.effects if e is not effect]
         others = [e for e in effects if e.name not in chosen.names and (not is_left or e.place is effect.place)]

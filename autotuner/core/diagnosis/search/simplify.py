@@ -37,7 +37,13 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import that_stick
 from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_near_forms, values_of
-from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, NOTHING_LEFT, is_shown, noise_of, weigh
+from autotuner.core.diagnosis.search.judge import (
+    GAIN,
+    MUCH_BETTER,
+    is_near_noise,
+    is_shown,
+    weigh,
+)
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import (
@@ -104,7 +110,7 @@ def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
     """
     if chosen.problem.structure is not SECOND_ORDER:
         return chosen
-    is_noise = chosen.rms <= NOTHING_LEFT * noise_of(context, chosen)
+    is_noise = is_near_noise(context, chosen)
     if is_noise or chosen.problem.effects:
         return _with_one_lag_more(context, chosen, 0.0 if is_noise else GAIN)
     richer = None if coloured_noise(context, chosen) else one_lag_more(context, chosen)

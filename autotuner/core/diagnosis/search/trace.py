@@ -50,7 +50,8 @@ from autotuner.core.diagnosis.search.joint.positions import with_positions
 from autotuner.core.diagnosis.search.joint.pulses import with_switched_output
 from autotuner.core.diagnosis.search.judge import (
     NOTHING_LEFT,
-    VISIBLE,
+    is_near_noise,
+    is_visible,
     noise_of,
 )
 from autotuner.core.diagnosis.search.left_open import most_likely
@@ -339,7 +340,7 @@ def _with_free_curve(
     One more effect is searched too, because a wrong curve hides it. A curve of many knots follows the fitted part more
     closely than the right effect of the actuator: it has to come as near on both parts.
     """
-    alone = len(best.problem.effects) == 1 and best.rms < NOTHING_LEFT * noise_of(context, best)
+    alone = len(best.problem.effects) == 1 and is_near_noise(context, best)
     if alone or context.dataset.in_loop or context.dataset.budget.spent or base.held is not None:
         return best, []
     forms = [*static_curves(context.dataset), *soft_limits(context.dataset)]
@@ -350,7 +351,7 @@ def _with_free_curve(
     # Of a curve and steps of unequal size, steps: they are held to less.
     first = next((c for c in accepted if c.names == ("output_quantisation",)), accepted[0])
     beside = []
-    if first.rms > NOTHING_LEFT * noise_of(context, first):
+    if not is_near_noise(context, first):
         beside = extend(context, [first], catalogue(first, context.coarse, declared))
         accepted += [c for c in beside if is_accepted(context, base, first, c)]
     if any(effect.place is Place.ACTUATOR for effect in best.problem.effects):
@@ -364,7 +365,7 @@ def _from_its_process(context: FitContext, best: Fitted, declared: ProcessModel 
 
     So are the others at its place: from the process alone the search cannot separate a limit on both sides from a kink.
     """
-    if not context.dataset.tuned or len(best.problem.effects) != 1 or best.rms < NOTHING_LEFT * noise_of(context, best):
+    if not context.dataset.tuned or len(best.problem.effects) != 1 or is_near_noise(context, best):
         return best
     head = best.theta[: len(best.problem.structure.shape) + 1]
     origin = fit(replace(best.problem, effects=(), rows=context.coarse), head, 0)
@@ -398,9 +399,9 @@ def _form_that_leaves_noise(context: FitContext, chosen: Fitted, accepted: Seque
 
     A free form follows what a textbook one misses, and predicts less: of the same name, the closer one is the answer.
     """
-    if chosen.rms < VISIBLE * noise_of(context, chosen):
+    if not is_visible(context, chosen):
         return chosen
-    forms = [c for c in accepted if c.names == chosen.names and c.rms < NOTHING_LEFT * noise_of(context, c)]
+    forms = [c for c in accepted if c.names == chosen.names and is_near_noise(context, c)]
     return forms[0] if forms else chosen
 
 
@@ -418,8 +419,8 @@ def _is_done(context: FitContext, best: Fitted, following: Fitted, *, accepted: 
         return True
     if accepted:
         white = context.colour(best) < COLOURED
-        return white and best.rms < NOTHING_LEFT * noise_of(context, best) and _holds_later(context, best)
-    return bool(best.problem.effects) or following.rms < NOTHING_LEFT * noise_of(context, following)
+        return white and is_near_noise(context, best) and _holds_later(context, best)
+    return bool(best.problem.effects) or is_near_noise(context, following)
 
 
 def _holds_later(context: FitContext, candidate: Fitted) -> bool:

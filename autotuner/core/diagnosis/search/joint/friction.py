@@ -35,7 +35,7 @@ from autotuner.core.diagnosis.extended.extended_model import Extended, Fitted, a
 from autotuner.core.diagnosis.extended.fitting import fit, linearised
 from autotuner.core.diagnosis.record.waiting import waiting_of
 from autotuner.core.diagnosis.search.joint.valve_bands import Bands, bands_of
-from autotuner.core.diagnosis.search.judge import VISIBLE, noise_of
+from autotuner.core.diagnosis.search.judge import is_visible
 from autotuner.core.diagnosis.search.search import (
     alone_beside,
     best_on_both_parts,
@@ -115,7 +115,7 @@ def _is_shown(context: FitContext, alone: Fitted, candidate: Fitted) -> bool:
     band = candidate.problem.split(candidate.theta)[2][0][0]
     if candidate.problem.effects[0].form == TURNING or band > SMALLEST_IN_LOOP:
         return True
-    close = candidate.rms < VISIBLE * noise_of(context, candidate)
+    close = not is_visible(context, candidate)
     return close and context.held_out_error(candidate) < HALF * context.held_out_error(alone)
 
 

@@ -22,7 +22,7 @@ from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import is_accepted, is_noise
 from autotuner.core.diagnosis.search.exchange import exchanged, first_number, values_of
 from autotuner.core.diagnosis.search.joint.times_of_updates import with_times_of_updates
-from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
+from autotuner.core.diagnosis.search.judge import VISIBLE, is_near_noise, is_visible, noise_of
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
     best_on_both_parts,
@@ -71,7 +71,7 @@ def with_uneven_updates(context: FitContext, base: Base, best: Fitted) -> tuple[
     """Return delays of single moves as explanation of a record that nothing else explains."""
     named = bool(best.problem.effects)
     updated = any(effect.clocked for effect in best.problem.effects) and context.dataset.in_loop
-    if named and best.rms < (NOTHING_LEFT if updated else VISIBLE) * noise_of(context, best):
+    if named and (is_near_noise(context, best) if updated else not is_visible(context, best)):
         return best, []
     most = context.held_out_error(best) if named else WORSE * context.held_out_error(base.best)
     found = with_own_times(context, base)
@@ -101,7 +101,7 @@ def _move_by_move(context: FitContext, timed: Fitted) -> Fitted:
 
     A slope does not lead there, because a move that has no effect has no slope.
     """
-    if timed.rms < NOTHING_LEFT * noise_of(context, timed) or context.dataset.budget.spent:
+    if is_near_noise(context, timed) or context.dataset.budget.spent:
         return timed
     problem, dataset = replace(timed.problem, rows=context.screen), context.dataset
     first = len(problem.structure.shape) + 1

@@ -28,7 +28,7 @@ from autotuner.core.diagnosis.effects.actuator.textbook_forms import quantisatio
 from autotuner.core.diagnosis.extended.base import is_physical
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import ENOUGH_FOR_RANKS, fit
-from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, VISIBLE, noise_of
+from autotuner.core.diagnosis.search.judge import is_near_noise, is_visible
 from autotuner.core.diagnosis.search.search import (
     COARSE_STEPS,
     QUICK_STEPS,
@@ -85,15 +85,11 @@ def with_positions(context: FitContext, base: Base, effects: Sequence[Effect]) -
     origins = list({id(o): o for o in (base.best, *base.origins)}.values())
     found = _with_even_updates(context, origins[:2])
     for drifts in (False, True):
-        if not any(_leaves_noise(context, c) for c in found):
+        if not any(is_near_noise(context, c) for c in found):
             processes = _with_drift(context, origins[:2], effects) if drifts else origins
             found += _with_stages_or_steps(context, processes)
     nearer = (c for c in found if c.rms < NEARER * base.best.rms)
     return [c for c in (refined(context, f) for f in nearer) if is_physical(c)]
-
-
-def _leaves_noise(context: FitContext, candidate: Fitted) -> bool:
-    return candidate.rms < NOTHING_LEFT * noise_of(context, candidate)
 
 
 def _with_even_updates(context: FitContext, origins: Sequence[Fitted]) -> list[Fitted]:
@@ -108,7 +104,7 @@ def _with_stages_or_steps(context: FitContext, origins: Sequence[Fitted]) -> lis
     if not staged:
         return []
     nearest = context.best(staged)
-    if nearest.rms > VISIBLE * noise_of(context, nearest):
+    if is_visible(context, nearest):
         return [nearest]
     stepped = [_in_detail(c, _steps_around) for c in closest_first(_with_steps(context, nearest))[:FOLLOWED]]
     return [context.best([nearest, *stepped])]

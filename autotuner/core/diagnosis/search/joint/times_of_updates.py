@@ -21,7 +21,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.seen_again import left_to
 from autotuner.core.diagnosis.search.joint.positions import with_two_lags
-from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, noise_of
+from autotuner.core.diagnosis.search.judge import is_near_noise, noise_of
 from autotuner.core.diagnosis.search.search import COARSE_STEPS, QUICK_STEPS, within
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _all_fitted(context: FitContext, candidate: Fitted) -> list[Fitted]:
         head = candidate.theta[: len(problem.structure.shape) + 1]
         candidate = with_two_lags(fit(problem, np.concatenate((head, effect.starts[0])), COARSE_STEPS))
         timed.append(candidate)
-        if candidate.rms < NOTHING_LEFT * noise_of(context, candidate):
+        if is_near_noise(context, candidate):
             break
     return timed
 
