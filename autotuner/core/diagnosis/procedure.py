@@ -248,11 +248,10 @@ class _Record:
     def _jittered(self, first: Base, found: Trace, spikes: BoolArray) -> tuple[FitContext, Base, Trace] | None:
         """Return the trace of an experiment with uneven times of both samples and moves; None otherwise."""
         explained = found.chosen.rms < VISIBLE * found.noise and "actuator_hold" not in found.chosen.names
-        if first.held is not None or (explained and not found.chosen.names):
+        in_loop = first.best.problem.dataset.in_loop
+        if in_loop or first.held is not None or (explained and not found.chosen.names):
             return None
         context = self.context()
-        if context.dataset.in_loop:
-            return None
         if explained and not sampled_unevenly(context, first.best):
             return None
         known = [c for c in found.pool if any(e.form == "uneven" and e.unseen_after for e in c.problem.effects)]
@@ -339,8 +338,7 @@ def _share_that_decides(context: FitContext, found: Trace) -> float:
     the squared misfit has come, it decides; the rest judges.
     """
     near = [c for c in (*found.pool, found.chosen) if c.rms < VISIBLE * found.noise]
-    timed = any(e.lateness_s is not None and e.unseen_after for e in found.chosen.problem.effects)
-    if not near or timed or context.held_out_error(found.chosen) <= LATE * found.noise:
+    if not near or context.held_out_error(found.chosen) <= LATE * found.noise:
         return 0.0
     came = np.cumsum(context.held_out_residual(context.best(near)) ** 2)
     t = context.dataset.data.t[context.held_out]

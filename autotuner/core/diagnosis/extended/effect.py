@@ -18,13 +18,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from autotuner.core.model.zoh_input import HeldInput, unit_step
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from autotuner.core.diagnosis.record.dataset import Dataset
     from autotuner.core.model.arrays import FloatArray, IntArray
     from autotuner.core.model.step_responses import Motion
-    from autotuner.core.model.zoh_input import HeldInput
 
 
 class Place(StrEnum):
@@ -104,6 +105,13 @@ class View:
         """Return the unit-gain response of the process to an input."""
         response: FloatArray = self.motion.forced(held, self.t - self.delay_s if delayed else self.t)[0][0]
         return response
+
+    def slopes_with_times(self, moments_s: FloatArray, moves: FloatArray) -> FloatArray:
+        """Return the slope of the unit-gain response with the time of each move of the input, shape (N, M)."""
+        since = (self.t - self.delay_s)[:, None] - moments_s
+        answer = self.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
+        slopes: FloatArray = np.where(since > 0.0, -moves * answer, 0.0)
+        return slopes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

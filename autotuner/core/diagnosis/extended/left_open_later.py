@@ -1,7 +1,7 @@
 """Expected error of a correct model by what the fitted samples leave open.
 
     var e(t) = s^2 sum_i (K du_i g'(t - t_i - D))^2,   over the moves without a fitted delay
-    e(t) = y(t; seen again) - y(t),              updates of an actuator in a loop, as that part shows them
+    e(t) = y(t; seen again) - y(t),     updates of an actuator in a loop, as the selection part shows them
     var e(t) = sum_v p_v (y(t; v) - y(t))^2,     v values that the fitted samples do not distinguish, p_v likelihood
 
 `s` standard deviation of the delay, s, `g` unit-gain step response, `y` simulated PV. An actuator that updates at its
@@ -18,7 +18,6 @@ import numpy as np
 
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.seen_again import with_own_events
-from autotuner.core.model.zoh_input import unit_step
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
@@ -77,7 +76,8 @@ def _mean_square(alike: Sequence[Fitted], candidate: Fitted, dataset: Dataset, r
 
 def _of_lateness(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: float, *, tested: bool) -> float:
     """Return the root mean square error that unknown latenesses make, PV."""
-    seen = with_own_events(candidate, dataset, int(rows[-1]) + 1)
+    # The test part is not looked at: what is expected of it follows from what came before.
+    seen = candidate if tested else with_own_events(candidate, dataset, int(rows[-1]) + 1)
     if seen is not candidate:
         return rms(seen.simulated(rows) - candidate.on(dataset).simulated(rows))
     _, _, values = candidate.problem.split(candidate.theta)
@@ -89,7 +89,5 @@ def _of_lateness(candidate: Fitted, dataset: Dataset, rows: IntArray, after_s: f
         return 0.0
     view = candidate.on(dataset).problem.view(candidate.theta, rows)
     moves = view.position.times > after_s - view.delay_s
-    since = (view.t - view.delay_s)[:, None] - view.position.times[moves]
-    slope = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
-    moved = np.where(since > 0.0, candidate.linear[0] * view.position.steps[moves] * slope, 0.0)
+    moved = candidate.linear[0] * view.slopes_with_times(view.position.times[moves], view.position.steps[moves])
     return spread_s * math.sqrt(float(np.mean((moved**2).sum(axis=1))))

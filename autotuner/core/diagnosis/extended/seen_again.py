@@ -41,8 +41,7 @@ def as_seen_again(fitted: Fitted, dataset: Dataset, until: int) -> Fitted:
     """
     if all(effect.seen_again is None for effect in fitted.problem.effects):
         return fitted
-    wild = dataset.spikes[:until]  # of a test part, none is known
-    fitted, rows = fitted.on(dataset), np.flatnonzero(~np.append(wild, np.zeros(until - wild.size, np.bool_)))
+    fitted, rows = fitted.on(dataset), np.flatnonzero(~dataset.spikes[:until])
     problem = fitted.problem
     effects, parts = [], [fitted.theta[: len(problem.structure.shape) + 1]]
     for k, (effect, p) in enumerate(zip(problem.effects, problem.split(fitted.theta)[2], strict=True)):

@@ -37,13 +37,7 @@ from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import that_stick
 from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_near_forms, values_of
-from autotuner.core.diagnosis.search.judge import (
-    GAIN,
-    MUCH_BETTER,
-    is_near_noise,
-    is_shown,
-    weigh,
-)
+from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, is_near_noise, is_shown, weigh
 from autotuner.core.diagnosis.search.neighbours import one_lag_more
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import (

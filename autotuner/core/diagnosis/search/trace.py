@@ -48,12 +48,7 @@ from autotuner.core.diagnosis.search.joint.friction import (
 from autotuner.core.diagnosis.search.joint.late_moves import late_instead, with_other_grids, with_uneven_updates
 from autotuner.core.diagnosis.search.joint.positions import with_positions
 from autotuner.core.diagnosis.search.joint.pulses import with_switched_output
-from autotuner.core.diagnosis.search.judge import (
-    NOTHING_LEFT,
-    is_near_noise,
-    is_visible,
-    noise_of,
-)
+from autotuner.core.diagnosis.search.judge import NOTHING_LEFT, is_near_noise, is_visible, noise_of
 from autotuner.core.diagnosis.search.left_open import most_likely
 from autotuner.core.diagnosis.search.measured_disturbances import of_columns, with_known
 from autotuner.core.diagnosis.search.search import (

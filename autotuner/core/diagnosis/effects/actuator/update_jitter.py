@@ -133,10 +133,8 @@ def uneven_updates(base: Fitted, rows: np.ndarray, fewest: int = FEWEST) -> Effe
         return HeldInput(np.maximum.accumulate(times), held.levels)
 
     def slopes(view: View, p: Sequence[float]) -> FloatArray:
-        moments = position(held, p, dataset).times[1 : count + 1]
-        since = (view.t - view.delay_s)[:, None] - moments
-        answer = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
-        with_lateness: FloatArray = np.where(since > 0.0, -interval * steps * answer, 0.0)
+        moments_s = position(held, p, dataset).times[1 : count + 1]
+        with_lateness = view.slopes_with_times(moments_s, interval * steps)
         result: FloatArray = with_lateness @ _slopes_of_latenesses(p, steps)
         return result
 

@@ -25,7 +25,7 @@ import numpy as np
 from autotuner.core.diagnosis.effects.actuator.update_jitter import UNIFORM
 from autotuner.core.diagnosis.extended.effect import Effect, Place, Searched, Seen, View
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
-from autotuner.core.model.zoh_input import HeldInput, unit_step
+from autotuner.core.model.zoh_input import HeldInput
 from autotuner.core.quantiles import NORMAL_95
 from autotuner.core.signals.noise import noise_sigma
 
@@ -190,10 +190,7 @@ def updated_at(dataset: Dataset, updates: FloatArray, seen_until_s: float, *, se
 
     def slopes(view: View, p: Sequence[float]) -> FloatArray:
         steps = position(dataset.data.held, p, dataset).steps[1 : len(p) + 1]
-        since = (view.t - view.delay_s)[:, None] - times_s(p)
-        answer = view.motion.forced(unit_step(0.0), np.maximum(since, 0.0))[1][0]
-        with_time: FloatArray = np.where(since > 0.0, -interval * steps * answer, 0.0)
-        return with_time
+        return view.slopes_with_times(times_s(p), interval * steps)
 
     def seen_again(seen: Seen) -> Effect | None:
         again = updates_in_loop(seen, max(noise_sigma(seen.left), SMALLEST_DIVISOR)) if seen.alone else np.zeros(0)
@@ -234,4 +231,6 @@ class _Lateness:
         weights = sizes[seen] / total
         mean = float(weights @ late)
         of_each = np.bincount(turn, weights)
-        return cls(mean, math.sqrt(float(weights @ (late - mean) ** 2)), 1.0 / max(float(of_each @ of_each), 1e-3))
+        return cls(
+            mean, math.sqrt(float(weights @ (late - mean) ** 2)), 1.0 / max(float(of_each @ of_each), SMALLEST_DIVISOR)
+        )

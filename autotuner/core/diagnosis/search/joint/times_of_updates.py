@@ -52,13 +52,13 @@ def with_times_of_updates(context: FitContext, base: Base) -> tuple[Fitted, ...]
         return ()
     begins = [(o, late) for o in settled[:2] for late in LATE_BY]
     first = [
-        _in_turn(context, _with_less_delay(origin, late), FIRST_ROUNDS)
+        _in_turn(context, _with_less_delay(origin, late), FIRST_ROUNDS, searched=False)
         for origin, late in within(context.dataset.budget, begins)
     ]
-    found = closest_first(c for c in first if c.problem.effects)
+    found = closest_first(closest_first(of)[0] for of in first if of)
     if not found or found[0].rms > HOPEFUL * base.best.rms:
         return ()
-    timed = [c for one in found[:FOLLOWED] for c in _all_fitted(context, _in_turn(context, one, MORE_ROUNDS))]
+    timed = [c for one in found[:FOLLOWED] for c in _followed(context, one)]
     physical = [c for c in timed if is_physical(c)]
     return (context.best(physical),) if physical else ()
 
@@ -71,33 +71,31 @@ def _with_less_delay(origin: Fitted, late: float) -> Fitted:
     return replace(origin, theta=theta)
 
 
-def _in_turn(context: FitContext, candidate: Fitted, rounds: int) -> Fitted:
-    """Return the closest of processes that are fitted beside the updates which follow from the one before."""
+def _followed(context: FitContext, candidate: Fitted) -> list[Fitted]:
+    """Return processes with all times fitted, from the closest that follows from a candidate with given ones."""
+    more = _in_turn(context, candidate, MORE_ROUNDS, searched=False)
+    return _in_turn(context, closest_first(more or [candidate])[0], LAST_ROUNDS, searched=True)
+
+
+def _in_turn(context: FitContext, candidate: Fitted, rounds: int, *, searched: bool) -> list[Fitted]:
+    """Return processes beside updates, each by those that follow from the one before; with all times fitted or not.
+
+    With all times fitted, the search ends where only noise is left.
+    """
+    rows, steps = (context.fine, COARSE_STEPS) if searched else (context.coarse, QUICK_STEPS)
     found: list[Fitted] = []
     for _ in within(context.dataset.budget, range(rounds)):
-        effect = _updated(context, candidate, searched=False)
+        effect = _updated(context, candidate, searched=searched)
         if effect is None:
             break
-        problem = replace(candidate.problem, effects=(effect,), rows=context.coarse)
-        candidate = with_two_lags(fit(problem, candidate.theta, QUICK_STEPS))
+        head = len(candidate.problem.structure.shape) + 1
+        start = np.concatenate((candidate.theta[:head], effect.starts[0]))
+        problem = replace(candidate.problem, effects=(effect,), rows=rows)
+        candidate = with_two_lags(fit(problem, start, steps))
         found.append(candidate)
-    return closest_first([*found, candidate])[0]
-
-
-def _all_fitted(context: FitContext, candidate: Fitted) -> list[Fitted]:
-    """Return processes and times that are fitted together, each from the one before, until only noise is left."""
-    timed: list[Fitted] = []
-    for _ in within(context.dataset.budget, range(LAST_ROUNDS)):
-        effect = _updated(context, candidate, searched=True)
-        if effect is None:
+        if searched and is_near_noise(context, candidate):
             break
-        problem = replace(candidate.problem, effects=(effect,), rows=context.fine)
-        head = candidate.theta[: len(problem.structure.shape) + 1]
-        candidate = with_two_lags(fit(problem, np.concatenate((head, effect.starts[0])), COARSE_STEPS))
-        timed.append(candidate)
-        if is_near_noise(context, candidate):
-            break
-    return timed
+    return found
 
 
 def _updated(context: FitContext, candidate: Fitted, *, searched: bool) -> Effect | None:
