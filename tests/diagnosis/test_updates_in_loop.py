@@ -12,11 +12,13 @@ import pytest
 
 from autotuner import diagnose
 from autotuner.core.diagnosis.effects.actuator.updates_in_loop import beside, updated_at, updates_in_loop
+from autotuner.core.diagnosis.extended.base import base_of
 from autotuner.core.diagnosis.extended.extended_model import Extended
 from autotuner.core.diagnosis.extended.fit_context import bench_of
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.extended.seen_again import as_seen_again, left_to, with_own_events
 from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner.core.diagnosis.search.joint.times_of_updates import with_times_of_updates
 from autotuner.core.model.structures import FOPDT
 from autotuner.core.recording import Recording
 from benchmarks.accuracy.diagnosis.independent import Case, record_of
@@ -136,7 +138,7 @@ def test_the_times_of_the_other_part_are_found_beside_the_same_process():
     assert context.expected(timed, 0.02) == pytest.approx(float(np.sqrt(np.mean(predicted**2))), rel=0.1)
 
 
-@pytest.mark.parametrize("seed", [605, 618])
+@pytest.mark.parametrize("seed", [605, pytest.param(618, marks=pytest.mark.long)])
 def test_updates_at_uneven_times_in_a_loop_are_named(seed):
     record = record_of(Case("actuator_hold:uneven", seed, "loop"))
     found = diagnose(Recording.from_csv_text(record.csv()))
@@ -145,6 +147,17 @@ def test_updates_at_uneven_times_in_a_loop_are_named(seed):
     assert found.error["fitted"].after < 1.1 * record.sigma
 
 
+@pytest.mark.parametrize("seed", [716, 717])
+def test_updates_that_follow_an_unmeasured_load_of_a_loop_cost_more_than_they_explain(seed):
+    record = record_of(Case("clean", seed, "loop", "coloured"))
+    context = bench_of(dataset_of(Recording.from_csv_text(record.csv())))
+    base = base_of(context, ("offset", "state"), 0)
+    alone = base.best
+    followed = with_times_of_updates(context, base)
+    assert all(context.criterion(c, context.colour(c)) > context.criterion(alone, context.colour(c)) for c in followed)
+
+
+@pytest.mark.long
 def test_an_unmeasured_load_of_a_loop_is_no_uneven_update():
     record = record_of(Case("clean", 717, "loop", "coloured"))
     assert not diagnose(Recording.from_csv_text(record.csv())).effects

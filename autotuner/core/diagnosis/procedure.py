@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -124,18 +124,22 @@ def diagnose(
     record, first = record.with_beginning(first)
     if record.smooth:
         parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, SMOOTH)))
-    context, base, found, spikes = record.traced(*first)
-    share = _share_that_decides(context, found)
-    if share > 0.0 and not context.dataset.budget.spent:
-        more = replace(record, tail_share=share)
-        again = more.traced(*more.based(), [*found.pool, found.chosen])
-        if _replaces(base, found, again):
-            context, base, found, spikes = again
-            parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
+    record, (context, base, found, spikes) = record.searched(first)
+    if record.tail_share > 0.0:
+        parts = replace(parts, whole=replace(parts.whole, notes=(*parts.whole.notes, LEFT_OPEN)))
     if is_the_controller(found.chosen) or (is_the_controller(base.best) and not SLIPS & set(found.chosen.names)):
         verdict = advice.controller_instead()
         raise RecordingError(verdict.message, field="recording", remedy=verdict.remedy)
     return reported(context, found, SensorRecord(spikes, record.stands, record.grid), base, model, parts, requested)
+
+
+class _Searched(NamedTuple):
+    """A search, with its samples, the process alone on all of them, and the spikes."""
+
+    context: FitContext
+    base: Base
+    trace: Trace
+    spikes: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,19 +215,45 @@ class _Record:
         best = min(simpler, key=lambda way: known[way][0].on_both_parts(known[way][1]), default="")
         return replace(self, begins=best), based[best]
 
-    def traced(
-        self, context: FitContext, first: Base, earlier: Sequence[Fitted] = ()
-    ) -> tuple[FitContext, Base, Trace, BoolArray]:
-        """Return the samples, the process alone on all of them, the search, and the spikes.
+    def searched(self, first: tuple[FitContext, Base]) -> tuple[_Record, _Searched]:
+        """Return the record with as much of it fitted as decides, and the search on that.
 
-        `earlier` has explanations that were found on fewer samples.
+        A search that leaves the answer to more samples goes on with those at once, and comes back where they leave it
+        open too.
+        """
+        found = self.traced(*first, patient=False)
+        if not found.trace.complete and not found.context.dataset.budget.spent:
+            more, again = self._on_more(found, patient=False)
+            if again is not None and again.trace.complete and is_noise(again.context, again.trace.chosen):
+                return more, again
+            found = self.traced(*first)
+        more, again = self._on_more(found)
+        return (self, found) if again is None else (more, again)
+
+    def _on_more(self, found: _Searched, *, patient: bool = True) -> tuple[_Record, _Searched | None]:
+        """Return the record with more of it fitted, and the search on that; None where it explains no more."""
+        share = _share_that_decides(found.context, found.trace)
+        if share == 0.0 or found.context.dataset.budget.spent:
+            return self, None
+        more = replace(self, tail_share=share)
+        again = more.traced(*more.based(), [*found.trace.pool, found.trace.chosen], patient=patient)
+        return more, again if _replaces(found, again) else None
+
+    def traced(
+        self, context: FitContext, first: Base, earlier: Sequence[Fitted] = (), *, patient: bool = True
+    ) -> _Searched:
+        """Return the search on the samples, which leave out spikes.
+
+        `earlier` has explanations that were found on fewer samples; `patient` is that of `trace`.
         """
         none = np.zeros(self.used.t.size, dtype=np.bool_)
         if self._of_the_sensor(context, first):
-            return context, first, Trace(first.held or first.best, first.best, (), noise_of(context, first.best)), none
+            return _Searched(context, first, Trace(first.alone, first.best, (), noise_of(context, first.best)), none)
         spikes = _spikes(context, first.best) & ~self.stands
         context, base = self.based(spikes) if spikes.any() else (context, first)
-        found = trace(context, base, self.model, earlier)
+        found = trace(context, base, self.model, earlier, patient=patient)
+        if not found.complete:
+            return _Searched(context, first, found, spikes)
         late = _spikes(context, found.chosen) & ~self.stands & ~spikes
         # Where moves arrive late, the residual at them comes from corners of the model, not of the sensor.
         timed = any(effect.group == "timing" for effect in found.chosen.problem.effects)
@@ -233,8 +263,8 @@ class _Record:
             found = trace(context, base, self.model, earlier)
         jittered = self._jittered(first, found, spikes)
         if jittered is not None:
-            return *jittered, none
-        return context, first, self._with_load(context, base, found), spikes
+            return _Searched(*jittered, none)
+        return _Searched(context, first, self._with_load(context, base, found), spikes)
 
     def _with_load(self, context: FitContext, base: Base, found: Trace) -> Trace:
         """Return the process of a loop beside a large load, where its innovations need none of the effects."""
@@ -308,17 +338,17 @@ def _left_in_all(found: Trace) -> float:
     return rms(dataset.data.pv[rows] - found.chosen.simulated(rows))
 
 
-def _replaces(base: Base, found: Trace, again: tuple[FitContext, Base, Trace, BoolArray]) -> bool:
+def _replaces(found: _Searched, again: _Searched) -> bool:
     """Return whether what was fitted to more of the record explains all of it better, with the same sign.
 
     That is effects, or the process alone: its numbers may only have been unsure. Where the processes alone differ in
     sign, those beside effects decide, if these leave only noise.
     """
-    context, other, later, _ = again
-    one_sign = _same_sign(base.best, other.best) or (
-        is_noise(context, later.chosen) and _same_sign(found.chosen, later.chosen)
+    fewer, later = found.trace, again.trace
+    one_sign = _same_sign(found.base.best, again.base.best) or (
+        is_noise(again.context, later.chosen) and _same_sign(fewer.chosen, later.chosen)
     )
-    return one_sign and _is_as_good_later(context, later) and _left_in_all(later) < _left_in_all(found)
+    return one_sign and _is_as_good_later(again.context, later) and _left_in_all(later) < _left_in_all(fewer)
 
 
 def _same_sign(first: Fitted, second: Fitted) -> bool:

@@ -181,6 +181,8 @@ DEAD_TIME_START = (0.26, 0.17, 0.13)
 """Initial guess of the best PID controller of a pure dead time, in ultimate periods."""
 LARGEST_FILTER_RATIO = 100.0
 """`Td / Tf` (or `Ti / (4 Tf)`) with a noise limit."""
+LONGER_FILTER = 1.05
+"""Ratio to the shortest filter at which it shows whether a longer one costs less."""
 SIMPLEX_STARTS = 2
 """Best points of the grid from which the simplex search starts: two, as the cost may have two valleys."""
 ROUGH, CLOSE = (0.1, 1e-2), (1e-3, 1e-5)
@@ -285,10 +287,29 @@ def _searched(search: Search, axes: _Axes, start: PidGains | None = None) -> Pid
         best = _minimum(search, axes, axes.at(start), NEIGHBOUR_STEP)
     else:
         best = _minimum(search.without_noise(), axes, axes.everywhere(with_filter=False))
-        if best is not None and axes.filter_matters:
+        if best is not None and axes.filter_matters and not _needs_no_filter(search, axes, best):
             best = _minimum(search, axes, axes.with_filter(best))
             best = _minimum(search, axes, axes.everywhere(with_filter=True)) if best is None else best
     return None if best is None else _checked(search, axes.shape(best))
+
+
+def _needs_no_filter(search: Search, axes: _Axes, best: FloatArray) -> bool:
+    """Return whether a filter longer than the shortest costs more, both near the best times and elsewhere.
+
+    Without a limit of the noise only a process that is little more than dead time gains from one.
+    """
+    if search.requirements.noise is not None:
+        return False
+
+    def cost(x: FloatArray) -> float:
+        return search.cost(axes.shape(x))
+
+    least, longer = cost(best), math.log(LONGER_FILTER * axes.shape(best).Tf)
+    elsewhere = [x for x in axes.with_filter(best) if x[-1] > longer]
+    if not elsewhere or cost(np.append(best, longer)) < least:
+        return False
+    start = min(elsewhere, key=cost)
+    return _simplex(cost, np.vstack((start, start + SIMPLEX_STEP * np.eye(start.size))), *ROUGH)[0] >= least
 
 
 def _minimum(search: Search, axes: _Axes, guesses: FloatArray, step: float = SIMPLEX_STEP) -> FloatArray | None:

@@ -85,6 +85,11 @@ class Base:
     held: Fitted | None = None
     other_sign_rms: float = math.inf
 
+    @property
+    def alone(self) -> Fitted:
+        """The declared model as it is, the best one without it."""
+        return self.best if self.held is None else self.held
+
 
 def base_of(context: FitContext, background: tuple[str, ...], sign: int) -> Base | None:
     """Return the process alone; None when no process comes near the record.

@@ -90,12 +90,13 @@ from autotuner.core.diagnosis.search.simplify import (
 from autotuner.core.model.arrays import SMALLEST_DIVISOR
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from autotuner.core.diagnosis.extended.base import Base
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.diagnosis.search.measured_disturbances import Known
     from autotuner.core.model.process import ProcessModel
 
 MOST_EFFECTS = 3
@@ -127,6 +128,8 @@ class Trace:
         Noise by the closest of them, PV.
     notes : tuple of str
         Further notes for the reader.
+    complete : bool
+        Whether the search went to its end; False where it left the answer to more samples.
     """
 
     alone: Fitted
@@ -134,34 +137,37 @@ class Trace:
     pool: tuple[Fitted, ...]
     noise: float
     notes: tuple[str, ...] = ()
+    complete: bool = True
 
 
 def trace(
-    context: FitContext, base: Base, declared: ProcessModel | None = None, earlier: Sequence[Fitted] = ()
+    context: FitContext,
+    base: Base,
+    declared: ProcessModel | None = None,
+    earlier: Sequence[Fitted] = (),
+    *,
+    patient: bool = True,
 ) -> Trace:
     """Search for effects until none is accepted any more.
 
-    `earlier` has explanations from a search on fewer samples: the same search on more may not come to them.
+    `earlier` has explanations from a search on fewer samples: the same search on more may not come to them. A search
+    that is not `patient` ends where an effect leaves only noise of the fitted part and fails later: more samples
+    decide.
     """
-    alone = base.held if base.held is not None else base.best
-    best = base.best
-    pool: list[Fitted] = []
+    alone = base.alone
     if is_noise(context, alone):
         return Trace(alone, alone, (), noise_of(context, alone))
-    effects = catalogue(best, context.coarse, declared, [o for o in base.origins if o is not best])
-    # Held and free explanations are ranked apart: the free one fits better, the held one means more.
-    beams: Sequence[Sequence[Fitted]] = [base.origins] if base.held is None else [[o] for o in base.origins]
-    known = with_known(context, best, effects)
-    if known.best is not best:
-        best, beams, pool = known.best, [[known.best]], [known.best]
-        effects = catalogue(best, context.coarse, declared)
+    known, effects, beams = _begun(context, base, declared)
+    best, pool = known.best, [c for c in [known.best] if c is not base.best]
     steps: list[Fitted] = []
     beside = _fitted_again(context, earlier)
     for _ in range(MOST_EFFECTS):
         if pool and is_noise(context, best) and not is_free_load(context, best):
             break
         sketches = [sketched(context, beam, effects) for beam in beams]
-        found = _explanations(context, base, effects, sketches, beside, first=not steps)
+        found, decided = _explanations(context, base, effects, sketches, beside, first=not steps, patient=patient)
+        if not decided:
+            return Trace(alone, found[0], tuple(found), noise_of(context, found[0]), complete=False)
         if not found:
             break
         pool += found
@@ -177,9 +183,7 @@ def trace(
             break
         beside = [*with_wave(context, best), *with_less_dead_time(context, [best], effects)] if accepted else []
         jumped = _with_jump(context, base, effects) if len(steps) == 1 else []
-        beams = [
-            [at_the_input(context, c) for c in beam] for beam in [*_carried(context, best, found, sketches), *jumped]
-        ]
+        beams = _at_the_inputs(context, [*_carried(context, best, found, sketches), *jumped])
     best, curved = _with_free_curve(context, base, best, declared)
     best, late = with_uneven_updates(context, base, best)
     pool += curved
@@ -194,6 +198,18 @@ def trace(
     return Trace(alone, chosen, tuple(pool), noise_of(context, closest), tuple(notes))
 
 
+def _begun(
+    context: FitContext, base: Base, declared: ProcessModel | None
+) -> tuple[Known, tuple[Effect, ...], Sequence[Sequence[Fitted]]]:
+    """Return the process with its measured disturbances, the effects to search for, and what they are added to."""
+    effects = catalogue(base.best, context.coarse, declared, [o for o in base.origins if o is not base.best])
+    known = with_known(context, base.best, effects)
+    if known.best is not base.best:
+        return known, catalogue(known.best, context.coarse, declared), [[known.best]]
+    # Held and free explanations are ranked apart: the free one fits better, the held one means more.
+    return known, effects, [base.origins] if base.held is None else [[o] for o in base.origins]
+
+
 def _explanations(
     context: FitContext,
     base: Base,
@@ -202,19 +218,24 @@ def _explanations(
     beside: Sequence[Fitted],
     *,
     first: bool,
-) -> list[Fitted]:
-    """Return the explanations of one round, the closest first.
+    patient: bool,
+) -> tuple[list[Fitted], bool]:
+    """Return the explanations of one round, the closest first, and whether these samples decide between them.
 
     In the first one, effects with a process of their own are searched too, unless one of the others leaves only noise.
+    A search that is not patient leaves it at those that do on the fitted part.
     """
     found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
     if first and not any(_leaves_noise(context, c) for c in found):
+        undecided = [c for c in found if leaves_white_noise(context, c) and not is_free_load(context, c)]
+        if undecided and not patient:
+            return undecided, False
         found = closest_first([*found, *_with_processes(context, base, effects)])
     if not found:
-        return []
+        return [], True
     found = closest_first([*found, *with_other_grids(context, found), *with_other_starts(context, found)])
     found = closest_first([*found, *with_exchanged_effects(context, found, effects)])
-    return closest_first([*found, *with_exchanged_forms(context, found, effects)])
+    return closest_first([*found, *with_exchanged_forms(context, found, effects)]), True
 
 
 def _leaves_noise(context: FitContext, candidate: Fitted) -> bool:
@@ -265,22 +286,32 @@ def _in_plainest_form(context: FitContext, chosen: Fitted, effects: Sequence[Eff
 
 
 def _with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> list[Fitted]:
-    """Return effects that are searched with a process of their own, until one of them leaves only noise.
-
-    Friction comes first where the valve is seen to stick, else updates and stages of the actuator.
-    """
+    """Return effects that are searched with a process of their own, until one of them leaves only noise."""
     found: list[Fitted] = []
-    sticks, searches = waiting_of(context.dataset).sticks, (with_friction, with_friction_beside_a_load)
-    for search in (*searches, with_positions) if sticks else (with_positions, *searches):
-        found += search(context, base, effects)
-        if any(is_noise(context, candidate) for candidate in found):
-            return found
-    late = [*with_less_dead_time(context, base.origins, effects), *with_varying_dead_time(context, base, effects)]
-    late += [*with_process_beside_wave(context, base, effects), *with_switched_output(context, base, effects)]
-    late += with_slow_output(context, base, effects)
-    late += with_curve_in_loop(context, base, effects)
-    late += with_curve_beside_a_load(context, base, effects)
-    return [*found, *with_process_friction(context, base.best), *late]
+    for more in _each_with_processes(context, base, effects):
+        found += more
+        if any(is_noise(context, candidate) for candidate in more):
+            break
+    return found
+
+
+def _each_with_processes(context: FitContext, base: Base, effects: Sequence[Effect]) -> Iterator[list[Fitted]]:
+    """Yield what each search finds: friction first where the valve is seen to stick, else updates and stages."""
+    friction = (with_friction, with_friction_beside_a_load)
+    sticks = waiting_of(context.dataset).sticks
+    for search in (*friction, with_positions) if sticks else (with_positions, *friction):
+        yield search(context, base, effects)
+    yield with_process_friction(context, base.best)
+    yield with_less_dead_time(context, base.origins, effects)
+    for search in (
+        with_varying_dead_time,
+        with_process_beside_wave,
+        with_switched_output,
+        with_slow_output,
+        with_curve_in_loop,
+        with_curve_beside_a_load,
+    ):
+        yield search(context, base, effects)
 
 
 def _fitted_again(context: FitContext, earlier: Sequence[Fitted]) -> list[Fitted]:
@@ -325,6 +356,10 @@ def _carried(
     others = distinct(closest_first(other))[:BEAM]
     groups = [[best]] if best.problem.effects or not others else []
     return [*groups, others] if others else groups
+
+
+def _at_the_inputs(context: FitContext, beams: Sequence[Sequence[Fitted]]) -> list[list[Fitted]]:
+    return [[at_the_input(context, candidate) for candidate in beam] for beam in beams]
 
 
 def _with_free_curve(
