@@ -110,7 +110,8 @@ class Requirements:
     purpose : Purpose
         Whether the error after a load step or after a set-point step is made small.
     noise : NoiseLimit or None
-        Limit of the output's jitter; the measurement filter is designed with the gains. None: `Tf = Td / filter_ratio`.
+        Limit of the output's jitter; the measurement filter is designed with the gains. None: `Tf = Td / filter_ratio`,
+        or longer where that lowers the error, as for a process of little more than dead time.
     filter_ratio : float
         `Td / Tf` without a noise limit; infinite for no filter.
     derivative_ratio : float
