@@ -43,6 +43,12 @@ UNITS = {
 """Units of the numbers of gains; the others are ratios."""
 AXES = {"output": "output", "last move of the output": "output", "PV": "PV", "slope of the PV": "PV/s", "time": "s"}
 """Units of the variables on the horizontal axis of the residual."""
+PARTS = {
+    "fitted": "part that was fitted",
+    "selection": "part that chose the explanation",
+    "held_out": "part kept for the test",
+}
+"""Parts of a record in words, as on the page."""
 UNKNOWN = Units()
 LOOKS = {"adequate": "done", "explained": "refused", "partly_explained": "failed", "unexplained": "failed"}
 
@@ -57,7 +63,7 @@ def diagnosis_report(diagnosis: Diagnosis, name: str) -> str:
     name : str
         Of the recording.
     """
-    return document(f"Diagnosis of {name}", diagnosis.verdict, diagnosis_sections(diagnosis))
+    return document(f"Diagnosis of {name}", _worded(diagnosis.verdict), diagnosis_sections(diagnosis))
 
 
 def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tuning: bool = False) -> list[Section]:
@@ -66,8 +72,8 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
     There process and gains are reported already; they are repeated only where the effects change them.
     """
     look = LOOKS[diagnosis.verdict]
-    summary = [Words(f"{diagnosis.verdict.capitalize()}: {diagnosis.summary}.", look)]  # type: ignore[arg-type]
-    notes = [Words(f"{note.rstrip('.')}.") for note in diagnosis.notes]
+    summary = [Words(_sentence(f"{_worded(diagnosis.verdict)}: {diagnosis.summary}"), look)]  # type: ignore[arg-type]
+    notes = [Words(_sentence(note)) for note in diagnosis.notes]
     effects = [Section("Effects", _effects(diagnosis, units))] if diagnosis.effects else []
     drawn = [] if diagnosis.traces is None else [_pictures(diagnosis.traces, units)]
     drawn += _loop(diagnosis, units)
@@ -80,6 +86,10 @@ def diagnosis_sections(diagnosis: Diagnosis, units: Units = UNKNOWN, *, of_a_tun
         Section("Before and after", [_errors(diagnosis, units), *models]),
         *drawn,
     ]
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def _missing(diagnosis: Diagnosis) -> list[Section]:
@@ -112,7 +122,7 @@ def _errors(diagnosis: Diagnosis, units: Units) -> Grid:
     spread = {} if diagnosis.traces is None else _spreads(diagnosis.traces)
     rows = [
         [
-            part.replace("_", " "),
+            PARTS.get(part, _worded(part)),
             f"{misfit.before:.4g}",
             f"{misfit.after:.4g}",
             f"{misfit.noise:.4g}",

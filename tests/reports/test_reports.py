@@ -20,7 +20,7 @@ from autotuner.commands.files.report import write_report
 from autotuner.commands.files.result_files import write_file
 from autotuner.core.design import Basis, DesignSpec, DeviceController, PidGains, Requirements, design
 from autotuner.core.design.simulation.closed_loop_setup import Installed, handy
-from autotuner.core.diagnosis.findings.result import Traces
+from autotuner.core.diagnosis.findings.result import Diagnosis, Misfit, Traces
 from autotuner.core.experiment.phases import Phase
 from autotuner.core.experiment.settings import ExperimentSettings
 from autotuner.core.model.process import Fopdt
@@ -28,6 +28,7 @@ from autotuner.core.recording import Recording
 from autotuner.errors import InputError
 from autotuner.reports.choices import ReportedEffect, choices_of
 from autotuner.reports.curves import before_and_after, fit_curves, kept, loop_curves
+from autotuner.reports.diagnosis import diagnosis_report
 from autotuner.reports.document import Facts, Grid, Section, Words, document
 from autotuner.reports.pictures.chart import Chart, Curve, Panel, Span
 from autotuner.reports.pictures.svg import svg, ticks
@@ -279,6 +280,17 @@ def test_what_was_not_checked_follows_from_what_was_done(told, count):
 def test_a_recording_without_a_model_has_curves_too():
     curves = fit_curves(Recording([0.0, 1.0], [0.0, 1.0], [5.0, 6.0]), None)
     assert (curves["pv"], curves["model"], curves["residual"]) == ([5.0, 6.0], None, None)
+
+
+def test_a_diagnosis_is_written_in_sentences_of_plain_words():
+    errors = dict.fromkeys(("fitted", "selection", "held_out"), Misfit(3.0, 2.0, 1.0, 1.0))
+    model = {"before": None, "after": None}
+    found = Diagnosis("partly_explained", (), None, errors, model, model, ("this record is blind",), summary="a load")
+    words = Reader(diagnosis_report(found, "record.csv")).words
+    assert "Partly explained: a load." in words
+    assert "This record is blind." in words
+    assert {"part that was fitted", "part that chose the explanation", "part kept for the test"} <= set(words)
+    assert not any("_" in word for word in words)
 
 
 def test_curves_before_and_after_hold_what_the_diagnosis_simulated():

@@ -20,7 +20,7 @@ export function diagnosisCard(diagnosis, units) {
     diagnosis.effects.map((effect) => found(effect, units, diagnosis.verdict === "explained" ? "" : "Nearest, and not enough: ")),
     diagnosis.effects.length ? runnerUp(diagnosis.runner_up, units) : null,
     h("div", { class: diagnosis.effects.length ? "split even" : "" }, errors(diagnosis.error, units), diagnosis.effects.length ? before(diagnosis, units) : null),
-    (diagnosis.notes ?? []).length ? h("ul", { class: "small" }, diagnosis.notes.map((note) => h("li", {}, note))) : null);
+    (diagnosis.notes ?? []).length ? h("ul", { class: "small" }, diagnosis.notes.map((note) => h("li", {}, `${capital(note.replace(/\.$/, ""))}.`))) : null);
 }
 
 /** What the gains shown rest on, where the diagnosis has a better process: its gains beside them. */
