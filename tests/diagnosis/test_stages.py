@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.effects.actuator import position_in_loop
 from autotuner.core.diagnosis.effects.actuator.position_in_loop import equal_steps, stages_in_loop
 from autotuner.core.diagnosis.effects.actuator.stages import unequal_stages
 from autotuner.core.diagnosis.extended.fitting import fit
@@ -144,3 +145,12 @@ def test_an_actuator_with_unequal_stages_is_found_in_a_loop(seed):
     assert [(e.name, e.form) for e in answer.effects] == [("output_quantisation", "unequal")]
     assert answer.verdict == "explained"
     assert answer.effects[0].parameters["step"] == pytest.approx(np.diff(edges)[passed].max(), rel=0.15)
+
+
+def test_stages_that_are_merged_into_one_are_none(monkeypatch):
+    """One threshold leaves open which output its height is worth: the search goes on without stages."""
+    pv = lag_by_hand(staircase(output_of_a_loop(), *drawn([(2.0, 1.0)] * 3)))
+    base = on_the_fitted_part(at_the_truth(recorded(pv), LAG))
+    assert stages_in_loop(base, np.zeros(0), 1.6, 0.1) is not None
+    monkeypatch.setattr(position_in_loop._Merging, "merged", lambda *_: (np.array([3]), np.array([1.0])))
+    assert stages_in_loop(base, np.zeros(0), 1.6, 0.1) is None

@@ -113,6 +113,13 @@ def test_inputs_that_change_together_are_each_answered_as_by_itself(course, name
             assert np.array_equal(np.array(those)[:, k], np.array(single))
 
 
+@pytest.mark.parametrize("name", list(CASES))
+def test_no_input_has_no_answer(course, name):
+    _, held, when = course
+    columns, slopes = CASES[name][0].forced(HeldInput(held.times, np.zeros((0, held.times.size))), when)
+    assert {column.shape for column in (*columns, *slopes)} == {(0, when.size)}
+
+
 @pytest.mark.parametrize("name", [name for name in CASES if name not in {"integrator", "unstable", "stiff"}])
 def test_free_motions_solve_the_homogeneous_equation(name):
     motion, A, _, _ = CASES[name]

@@ -165,5 +165,7 @@ def recurrence(c: FloatArray, g: FloatArray) -> FloatArray:
 
 def _swept(band: FloatArray, g: FloatArray, length: int) -> FloatArray:
     """Return the solutions of a lower triangular band system for each `length` of right sides, in their shape."""
+    if not g.size:
+        return g.copy()  # LAPACK's wrapper writes beyond an array without right sides
     x: FloatArray = scipy.linalg.lapack.dtbtrs(band, g.reshape(-1, length).T, uplo="L", diag="U")[0]
     return x.T.reshape(g.shape)

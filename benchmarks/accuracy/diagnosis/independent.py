@@ -302,11 +302,18 @@ OF_PAIRS = {
 }
 
 
+OF_A_NORMAL_ERROR = 0.6745 / 1.96
+"""Median of a normal error, in half-widths of its 95 % interval."""
+
+
 def held(found: list[Any]) -> str:
-    """Return in words how often 95 % intervals hold the truth, and the median error."""
+    """Return in words how often 95 % intervals hold the truth, and the median error: also in half-widths of them."""
     inside = sum(low <= true <= high for _, low, high, true in found)
     error = float(np.median([abs(value / true - 1.0) for value, _, _, true in found]))
-    return f"{inside} of {len(found)} ({100.0 * inside / len(found):.1f} %), error {100.0 * error:.2f} % in the median"
+    off = float(np.median([2.0 * abs(value - true) / (high - low) for value, low, high, true in found if low < high]))
+    share = f"{inside} of {len(found)} ({100.0 * inside / len(found):.1f} %)"
+    medians = f"{100.0 * error:.2f} % and {off:.2f} half-widths ({OF_A_NORMAL_ERROR:.2f} of a normal error)"
+    return f"{share}, error in the median {medians}"
 
 
 def summary_of_pairs(rows: list[Row]) -> list[str]:

@@ -119,6 +119,8 @@ def stages_in_loop(
     if found.size < FEWEST:
         return None
     kept, heights = _Merging(thresholds, answers, part.left).merged(found, looseness, nearest)
+    if kept.size < FEWEST:
+        return None
     middles = np.mean(outputs_around(loop.output, thresholds[kept]), axis=0) / swing
     return (middles, heights) if np.all(np.diff(middles) > 0.0) else None
 
