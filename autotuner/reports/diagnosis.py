@@ -31,8 +31,11 @@ NAMES = {
     "settling_time_s": "settling time",
     "set_point_iae": "integral of the error after a set-point step",
     "load_iae": "integral of the error after a load",
+    "fitted": "part that was fitted",
+    "selection": "part that chose the explanation",
+    "held_out": "part kept for the test",
 }
-"""Names of quantities that are not words joined by underscores."""
+"""Names of quantities, and of the parts of a record, that are not words joined by underscores."""
 UNITS = {
     "Kp": "output/PV",
     **dict.fromkeys(("Ti", "Td", "Tf", "delay_margin_s", "settling_time_s"), "s"),
@@ -43,12 +46,6 @@ UNITS = {
 """Units of the numbers of gains; the others are ratios."""
 AXES = {"output": "output", "last move of the output": "output", "PV": "PV", "slope of the PV": "PV/s", "time": "s"}
 """Units of the variables on the horizontal axis of the residual."""
-PARTS = {
-    "fitted": "part that was fitted",
-    "selection": "part that chose the explanation",
-    "held_out": "part kept for the test",
-}
-"""Parts of a record in words, as on the page."""
 UNKNOWN = Units()
 LOOKS = {"adequate": "done", "explained": "refused", "partly_explained": "failed", "unexplained": "failed"}
 
@@ -122,7 +119,7 @@ def _errors(diagnosis: Diagnosis, units: Units) -> Grid:
     spread = {} if diagnosis.traces is None else _spreads(diagnosis.traces)
     rows = [
         [
-            PARTS.get(part, _worded(part)),
+            _worded(part),
             f"{misfit.before:.4g}",
             f"{misfit.after:.4g}",
             f"{misfit.noise:.4g}",
@@ -227,7 +224,7 @@ def _flat(values: object) -> dict[str, object]:
 
 
 def _worded(name: str) -> str:
-    """Return the name of a number as people write it."""
+    """Return a name as people write it."""
     bare, comma, rest = name.partition(",")
     return NAMES.get(bare, bare.replace("_", " ")) + comma + rest
 

@@ -300,32 +300,35 @@ def _needs_no_filter(search: Search, axes: _Axes, best: FloatArray) -> bool:
     """
     if search.requirements.noise is not None:
         return False
-
-    def cost(x: FloatArray) -> float:
-        return search.cost(axes.shape(x))
-
+    cost = _cost_of(search, axes)
     least, longer = cost(best), math.log(LONGER_FILTER * axes.shape(best).Tf)
     elsewhere = [x for x in axes.with_filter(best) if x[-1] > longer]
     if not elsewhere or cost(np.append(best, longer)) < least:
         return False
-    start = min(elsewhere, key=cost)
-    return _simplex(cost, np.vstack((start, start + SIMPLEX_STEP * np.eye(start.size))), *ROUGH)[0] >= least
+    return _simplex(cost, _corners(min(elsewhere, key=cost), SIMPLEX_STEP), *ROUGH)[0] >= least
 
 
 def _minimum(search: Search, axes: _Axes, guesses: FloatArray, step: float = SIMPLEX_STEP) -> FloatArray | None:
     """Return the logarithms of the best times: simplexes from the best of the starts."""
-
-    def cost(x: FloatArray) -> float:
-        return search.cost(axes.shape(x))
-
+    cost = _cost_of(search, axes)
     costs = np.array([cost(x) for x in guesses])
     if costs.min() >= NOT_POSSIBLE:
         return None
     starts = guesses[np.argsort(costs, kind="stable")[:SIMPLEX_STARTS]]
-    rough = [_simplex(cost, np.vstack((x, x + step * np.eye(x.size))), *ROUGH) for x in starts]
+    rough = [_simplex(cost, _corners(x, step), *ROUGH) for x in starts]
     cheapest = min(rough, key=lambda pair: pair[0])[1]
     best: FloatArray = _simplex(cost, cheapest, *CLOSE)[1][0]
     return best
+
+
+def _cost_of(search: Search, axes: _Axes) -> Callable[[FloatArray], float]:
+    """Return the cost of a controller by the logarithms of its times."""
+    return lambda x: search.cost(axes.shape(x))
+
+
+def _corners(start: FloatArray, step: float) -> FloatArray:
+    """Return the corners of a simplex with its first edges along the axes."""
+    return np.vstack((start, start + step * np.eye(start.size)))
 
 
 def _simplex(

@@ -151,7 +151,7 @@ def trace(
     """Search for effects until none is accepted any more.
 
     `earlier` has explanations from a search on fewer samples: the same search on more may not come to them. A search
-    that is not `patient` ends where an effect leaves only noise of the fitted part and fails later: more samples
+    that is not `patient` ends where an effect leaves only noise on the fitted part and fails later: more samples
     decide.
     """
     alone = base.alone
@@ -223,12 +223,11 @@ def _explanations(
     """Return the explanations of one round, the closest first, and whether these samples decide between them.
 
     In the first one, effects with a process of their own are searched too, unless one of the others leaves only noise.
-    A search that is not patient leaves it at those that do on the fitted part.
+    A search that is not patient ends with those that leave only noise on the fitted part.
     """
     found = closest_first([*beside, *(c for sketch in sketches for c in finished(context, sketch))])
     if first and not any(_leaves_noise(context, c) for c in found):
-        undecided = [c for c in found if leaves_white_noise(context, c) and not is_free_load(context, c)]
-        if undecided and not patient:
+        if not patient and (undecided := [c for c in found if _leaves_noise_on_the_fitted_part(context, c)]):
             return undecided, False
         found = closest_first([*found, *_with_processes(context, base, effects)])
     if not found:
@@ -240,8 +239,12 @@ def _explanations(
 
 def _leaves_noise(context: FitContext, candidate: Fitted) -> bool:
     """Return whether an explanation leaves white noise, and errs elsewhere by no more than its numbers may be off."""
-    near = leaves_white_noise(context, candidate) and is_near_later(context, candidate)
-    return near and not is_free_load(context, candidate)
+    return _leaves_noise_on_the_fitted_part(context, candidate) and is_near_later(context, candidate)
+
+
+def _leaves_noise_on_the_fitted_part(context: FitContext, candidate: Fitted) -> bool:
+    """Return whether an explanation leaves white noise there; a load of free shape always may."""
+    return leaves_white_noise(context, candidate) and not is_free_load(context, candidate)
 
 
 def _or_with_third_lag(context: FitContext, following: Fitted) -> Fitted:
