@@ -8,7 +8,7 @@ from autotuner.cli import main
 def test_an_effect_is_printed_with_its_form(tmp_path, capsys):
     """A valve of rangeability 30 before a lag of 12 s, by Euler's method."""
     random = np.random.default_rng(4)
-    output = np.repeat(random.choice([30.0, 35.0, 45.0, 50.0], 30), 20)
+    output = np.repeat(random.choice([30.0, 35.0, 45.0, 50.0], 15), 20)
     output[:20] = 40.0
     flow = 100.0 * 30.0 ** (output / 100.0 - 1.0)
     pv, x = [], 0.0

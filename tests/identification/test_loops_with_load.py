@@ -21,12 +21,14 @@ def identified(seed, gain):
     return identify(loop_record(seed, gain=gain), profile=False)
 
 
-@pytest.mark.parametrize(("gain", "seeds"), [(1.5, SEEDS[:3]), pytest.param(-2.0, SEEDS, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("gain", "seeds"), [(1.5, SEEDS[:1]), *(pytest.param(gain, SEEDS, marks=pytest.mark.long) for gain in (1.5, -2.0))]
+)
 def test_the_gain_of_a_process_is_found_beside_a_load_as_large_as_the_moves_of_the_set_point(gain, seeds):
     answers = [identified(seed, gain) for seed in seeds]
     assert all(answer.model is not None and answer.model.K * gain > 0.0 for answer in answers)
     ends = [answer.estimates["least_squares"].interval95["K"] for answer in answers]
-    assert sum(low <= gain <= high for low, high in ends) >= len(seeds) - 1
+    assert sum(low <= gain <= high for low, high in ends) >= max(len(seeds) - 1, 1)
     assert np.median([abs(answer.model.K / gain - 1.0) for answer in answers]) < 0.15
 
 

@@ -109,7 +109,9 @@ def base_of(context: FitContext, background: tuple[str, ...], sign: int) -> Base
     noise = math.hypot(context.dataset.noise, context.dataset.floor)
     if not fits or min(f.rms for f in fits) > NOTHING_LEFT * noise or _all_fail_elsewhere(context, fits, noise):
         others = OTHERS if context.dataset.tuned else OPEN_ENDED
-        fits += [f for s in others for f in _alone(context, s, background, [prior])]
+    else:
+        others = OPEN_ENDED if any(outlasts_the_record(f) for f in fits) else ()
+    fits += [f for s in others for f in _alone(context, s, background, [prior])]
     if not fits:
         return None
     best = context.best(fits)
@@ -117,6 +119,13 @@ def base_of(context: FitContext, background: tuple[str, ...], sign: int) -> Base
     other_sign_rms = min((f.rms for f in opposite), default=math.inf)
     near = opposite[:1] if best.rms > NOTHING_LEFT * noise and other_sign_rms < AS_NEAR * best.rms else []
     return Base(best, (*_origins(context, fits, best, prior), *near), other_sign_rms=other_sign_rms)
+
+
+def outlasts_the_record(settling: Fitted) -> bool:
+    """Return whether a process has a lag that is longer than the fitted part: there, it may integrate as well."""
+    problem = settling.problem
+    slowest_s = problem.split(settling.theta)[0][0]  # one lag, or the sum of two
+    return slowest_s > problem.dataset.fitted_until_s
 
 
 def _all_fail_elsewhere(context: FitContext, fits: Sequence[Fitted], noise: float) -> bool:

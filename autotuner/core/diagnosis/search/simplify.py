@@ -1,6 +1,7 @@
 """An explanation made plain: of two that follow a record about as well, the plainer one, by the criterion.
 
-pair of lags -> one lag      form of friction with two numbers -> plain play
+pair of lags -> one lag      lag that outlasts the record -> integrator
+form of friction with two numbers -> plain play
 kink with a gain of zero on one side -> limit
 drift that settles as fast as the process answers -> load step
 load that ramps as long as the record shows -> straight drift
@@ -31,7 +32,7 @@ from autotuner.core.diagnosis.effects.disturbance import curved_drift
 from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.effects.waves import SLOW_WAVE
-from autotuner.core.diagnosis.extended.base import is_physical
+from autotuner.core.diagnosis.extended.base import is_physical, outlasts_the_record
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
@@ -49,7 +50,7 @@ from autotuner.core.diagnosis.search.search import (
     has_several,
     without,
 )
-from autotuner.core.model.structures import FOPDT, SECOND_ORDER
+from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
+    from autotuner.core.model.arrays import FloatArray
 
 MOMENT = "moment"
 """Name of the searched number that is the time of a change, as a share of the record."""
@@ -84,16 +86,36 @@ CURVES = frozenset({"static_nonlinearity", "direction_gain", "saturation"})
 """Effects that give each level of the output another one, as steps do."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
+INTEGRATORS = {FOPDT: PURE_INTEGRATOR, SECOND_ORDER: INTEGRATING}
+"""What a process is whose slowest lag, the first of its numbers, is an integrator."""
 
 
 def simplest(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with one lag where a second one is not significant."""
+    """Return the explanation with one lag, or with an integrator, where a further number says nothing of the process.
+
+    A lag far longer than the record is an integrator there: its gain, too, could be any.
+    """
     problem = chosen.problem
-    if problem.structure is not SECOND_ORDER or not problem.effects or problem.fixed is not None:
+    if not problem.effects or problem.fixed is not None:
         return chosen
-    shorter = np.concatenate(([chosen.theta[0]], chosen.theta[2:]))
-    single = fit(replace(problem, structure=FOPDT), shorter, FINE_STEPS)
-    return _plainer(context, chosen, single)
+    if problem.structure is SECOND_ORDER:
+        chosen = _plainer(context, chosen, fit(replace(problem, structure=FOPDT), _without(chosen, 1), FINE_STEPS))
+    return _integrating(context, chosen)
+
+
+def _integrating(context: FitContext, chosen: Fitted) -> Fitted:
+    """Return the explanation with an integrator in place of a lag that outlasts the record, where that is as good."""
+    problem = chosen.problem
+    plainer = INTEGRATORS.get(problem.structure)
+    if plainer is None or not outlasts_the_record(chosen) or any(e.response is not None for e in problem.effects):
+        return chosen
+    return _plainer(context, chosen, fit(replace(problem, structure=plainer), _without(chosen, 0), FINE_STEPS))
+
+
+def _without(chosen: Fitted, number: int) -> FloatArray:
+    """Return the numbers of an explanation without one of the process's."""
+    theta: FloatArray = np.delete(chosen.theta, number)
+    return theta
 
 
 def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:
