@@ -4,6 +4,7 @@
     python benchmarks/accuracy/diagnosis/independent.py --sections clean --noises white coloured heavy quantised
     python benchmarks/accuracy/diagnosis/independent.py --sections pairs --failures
     python benchmarks/accuracy/diagnosis/independent.py --only "ambient:free" --failures
+    python benchmarks/accuracy/diagnosis/independent.py --sections single --plant integrating
 
 The judges are the generator's own: the noise that it added, the effect that it hid, and whether a linear model that
 this file fits by itself (two lags, dead time, gain, offset, initial state) misses by more than 1.5 of those sigmas.
@@ -44,6 +45,8 @@ VISIBLE, VISIBLE_OF_A_SENSOR = 1.5, 1.2
 OF_THE_SENSOR = {"sensor_quantisation", "outliers", "timing_jitter"}
 NO_REST = ("output_quantisation", "time_proportioning")
 """Effects by which the actuator never has the output at which the generator begins."""
+OF_WHAT_SETTLES = {"nonlinear_loss", "slow_mode", "inverse_response", "extra_lag", "recycle"}
+"""Effects that the generator makes of the lags of a process which settles."""
 Row = dict[str, Any]
 
 
@@ -230,6 +233,10 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
                 for j, experiment in enumerate(experiments):
                     integrates = (seed + k + j) % 4 == 3 and experiment in {"relay", "loop", "short"}
                     cases.append(Case("clean", seed, experiment, noise, "integrating" if integrates else None))
+    if options.plant:
+        cases = [replace(case, plant=options.plant) for case in cases]
+    if options.plant == "integrating":
+        cases = [case for case in cases if not any(part.partition(":")[0] in OF_WHAT_SETTLES for part in case.parts)]
     return cases[:: options.thin]
 
 
@@ -379,6 +386,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="parts of name:form")
     parser.add_argument("--experiments", nargs="+")
     parser.add_argument("--noises", nargs="+", default=list(NOISES))
+    parser.add_argument("--plant", help="kind of every plant: first, second, third, ringing, two_scales, integrating")
     parser.add_argument("--thin", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--failures", action="store_true", help="print every record that was not right")

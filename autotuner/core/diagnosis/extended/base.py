@@ -225,14 +225,21 @@ def _ringing(dataset: Dataset, structure: Structure) -> list[tuple[float, float]
 
 
 def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
-    """Return where extended models start: the free pair, pairs of parts of the record, another structure."""
+    """Return where extended models start: the free pair, pairs of parts of the record, another structure.
+
+    A pair that outlasts the record is one of many which are alike: what integrates takes its place, and it comes last.
+    """
     pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
     if pair is None:
         return [best]
-    origins = [pair]
+    integrating = next((f for f in fits if f.problem.structure is INTEGRATING), None)
+    first = integrating if integrating is not None and outlasts_the_record(pair) else pair
+    origins = [first]
     if best.rms > NOTHING_LEFT * math.hypot(context.dataset.noise, context.dataset.floor):
-        origins += [*_of_parts(context, pair, prior), *_without_jumps(context, pair, prior)]
+        origins += [*_of_parts(context, first, prior), *_without_jumps(context, first, prior)]
         origins += [_of_one_lag(context, f) for f in fits if f.problem.structure is FOPDT and _is_lightly_damped(pair)]
+    if first is not pair:
+        return [*_distinct(origins), pair]
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
     return [*_distinct(origins), *closest_first(better)[:1]]
@@ -280,7 +287,7 @@ def _without_jumps(context: FitContext, pair: Fitted, prior: GainPrior) -> list[
 
 
 def _moved(context: FitContext, pair: Fitted, near: Fitted) -> Fitted:
-    """Return the pair's problem at the process of another fit."""
+    """Return the problem of a fit at the process of another one."""
     return fit(replace(pair.problem, rows=context.coarse), near.theta, 0)
 
 
