@@ -157,13 +157,16 @@ def _whitened(memory: Memory, t: FloatArray, residual: FloatArray) -> FloatArray
 
 
 def _fades(predictor: FloatArray, candidate: Fitted, interval_s: float, innovations: FloatArray) -> bool:
-    """Return whether the memory is shorter than the process's own, or about as long for normal innovations."""
+    """Return whether the memory is shorter than the process's own, or about as long for normal innovations.
+
+    A lag that outlasts the record counts as an integrator does: not at all.
+    """
     poles = np.abs(np.roots(np.concatenate(([1.0], -predictor))))
     longest = float(poles.max())
     if not 0.0 < longest < 1.0:
         return longest == 0.0
     lags = np.exp(candidate.theta[: len(candidate.problem.structure.shape)])
-    own_s = float(lags.max(initial=0.0))
+    own_s = float(lags[lags < candidate.problem.dataset.fitted_until_s].max(initial=0.0))
     lasts_s = -interval_s / math.log(longest)
     if lasts_s < FADES * (own_s or candidate.problem.dataset.span_s):
         return True
