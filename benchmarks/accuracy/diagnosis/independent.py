@@ -233,11 +233,14 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
                 for j, experiment in enumerate(experiments):
                     integrates = (seed + k + j) % 4 == 3 and experiment in {"relay", "loop", "short"}
                     cases.append(Case("clean", seed, experiment, noise, "integrating" if integrates else None))
-    if options.plant:
-        cases = [replace(case, plant=options.plant) for case in cases]
-    if options.plant == "integrating":
-        cases = [case for case in cases if not any(part.partition(":")[0] in OF_WHAT_SETTLES for part in case.parts)]
-    return cases[:: options.thin]
+    return (with_plant(cases, options.plant) if options.plant else cases)[:: options.thin]
+
+
+def with_plant(cases: list[Case], kind: str) -> list[Case]:
+    """Return the cases with plants of one kind, without the effects that such a plant cannot have."""
+    unknown = OF_WHAT_SETTLES if kind == "integrating" else set()
+    kept = [case for case in cases if not any(part.partition(":")[0] in unknown for part in case.parts)]
+    return [replace(case, plant=kind) for case in kept]
 
 
 def is_right(row: Row) -> bool:
