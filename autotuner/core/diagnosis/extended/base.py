@@ -225,24 +225,27 @@ def _ringing(dataset: Dataset, structure: Structure) -> list[tuple[float, float]
 
 
 def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
-    """Return where extended models start: the free pair, pairs of parts of the record, another structure.
-
-    A pair that outlasts the record is one of many which are alike: what integrates takes its place, and it comes last.
-    """
+    """Return where extended models start: the free pair, pairs of parts of the record, another structure."""
     pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
     if pair is None:
         return [best]
-    integrating = next((f for f in fits if f.problem.structure is INTEGRATING), None)
-    first = integrating if integrating is not None and outlasts_the_record(pair) else pair
-    origins = [first]
+    origins = [pair]
     if best.rms > NOTHING_LEFT * math.hypot(context.dataset.noise, context.dataset.floor):
-        origins += [*_of_parts(context, first, prior), *_without_jumps(context, first, prior)]
+        origins += [*_of_parts(context, pair, prior), *_without_jumps(context, pair, prior)]
         origins += [_of_one_lag(context, f) for f in fits if f.problem.structure is FOPDT and _is_lightly_damped(pair)]
-    if first is not pair:
-        return [*_distinct(origins), pair]
+    integrating = next((f for f in fits if f.problem.structure is INTEGRATING), None)
+    if integrating is not None and outlasts_the_record(pair):
+        return [*_distinct([integrating, *(_as_it_shows(o, integrating) for o in origins[1:])]), pair]
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
     return [*_distinct(origins), *closest_first(better)[:1]]
+
+
+def _as_it_shows(origin: Fitted, integrating: Fitted) -> Fitted:
+    """Return a pair that outlasts the record as what it is there, of which many pairs are alike: an integrator."""
+    if not outlasts_the_record(origin):
+        return origin
+    return fit(replace(integrating.problem, rows=origin.problem.rows), origin.theta[1:], 0)
 
 
 def _is_lightly_damped(pair: Fitted) -> bool:
@@ -287,16 +290,22 @@ def _without_jumps(context: FitContext, pair: Fitted, prior: GainPrior) -> list[
 
 
 def _moved(context: FitContext, pair: Fitted, near: Fitted) -> Fitted:
-    """Return the problem of a fit at the process of another one."""
+    """Return the pair's problem at the process of another fit."""
     return fit(replace(pair.problem, rows=context.coarse), near.theta, 0)
 
 
 def _distinct(origins: Sequence[Fitted]) -> list[Fitted]:
     kept: list[Fitted] = []
     for origin in origins:
-        if all(np.abs(origin.theta - other.theta).max() > CLOSE for other in kept):
+        if not any(_is_close(origin, other) for other in kept):
             kept.append(origin)
     return kept
+
+
+def _is_close(one: Fitted, other: Fitted) -> bool:
+    """Return whether two processes of one structure are one place to start from."""
+    alike = one.problem.structure is other.problem.structure
+    return alike and float(np.abs(one.theta - other.theta).max()) <= CLOSE
 
 
 def is_physical(candidate: Fitted, prior: GainPrior | None = None) -> bool:
