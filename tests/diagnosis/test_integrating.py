@@ -1,13 +1,21 @@
 """Processes that integrate, with effects and without: a lag that outlasts the record is an integrator there.
 
-Records are those of the independent generator, but for a lag whose response is (1 - e^{-t/T}): a closed form.
+Records are those of the independent generator and of the simulator, but for a lag whose response is
+(1 - e^{-t/T}): a closed form.
 """
 
 import numpy as np
 import pytest
 
 from autotuner import Recording, diagnose
+from autotuner.core.diagnosis.extended.base import base_of, outlasts_the_record
+from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
+from autotuner.core.diagnosis.extended.fit_context import bench_of
+from autotuner.core.diagnosis.record.dataset import dataset_of
+from autotuner_sim import Backlash
+from autotuner_sim.plants import Integrating
 from benchmarks.accuracy.diagnosis.independent import Case, record_of
+from tests.diagnosis.cases import tuning_record
 
 
 def answer_to(key, seed, experiment, noise="white"):
@@ -33,10 +41,10 @@ def test_a_process_that_integrates_is_one_and_gets_gains(seed, experiment, noise
 
 EFFECTS = [
     ("backlash:play", 501, "steps"),
-    ("dead_time_jump:at once", 501, "random"),
+    pytest.param("dead_time_jump:at once", 501, "random", marks=pytest.mark.long),
     ("gain_drift:fouling", 906, "steps"),
     ("load_step:step", 909, "short"),
-    ("periodic_disturbance:sine", 911, "steps"),
+    pytest.param("periodic_disturbance:sine", 911, "steps", marks=pytest.mark.long),
     pytest.param("rate_limit:unequal", 501, "short", marks=pytest.mark.long),
     pytest.param("actuator_hold:even", 900, "relay", marks=pytest.mark.long),
 ]
@@ -52,11 +60,23 @@ def test_an_effect_beside_a_process_that_integrates_is_explained(key, seed, expe
     assert holds(answer, "K", hidden.gain)
 
 
-@pytest.mark.usefixtures("without_gains")
+def test_a_level_whose_valve_has_play_gets_the_gains_of_its_own_process():
+    """The process alone looks unstable, and its gains would be a guess."""
+    answer = diagnose(tuning_record(Integrating(0.05, 2.0, 1.0), sigma=0.02, actuators=[Backlash(2.0)]))
+    assert answer.verdict == "explained"
+    assert [e.name for e in answer.effects] == ["backlash"]
+    assert answer.effects[0].parameters["width"] == pytest.approx(2.0, rel=0.01)
+    assert holds(answer, "K", 0.05)
+    assert answer.gains["after"]["margins"]["stable"]
+
+
 def test_a_slow_residual_is_no_noise_of_a_lag_that_outlasts_the_record():
-    """It is shorter than such a lag, and was taken for noise that has passed the process."""
-    _, answer = answer_to("sensor_hysteresis:creeping", 501, "random")
-    assert answer.verdict != "adequate"
+    """It is shorter than such a lag, as noise is that has passed the process."""
+    hidden = record_of(Case("sensor_hysteresis:creeping", 501, "random", "white", "integrating"))
+    context = bench_of(dataset_of(Recording.from_csv_text(hidden.csv())))
+    pair = base_of(context, ("offset",), 0).best
+    assert outlasts_the_record(pair)
+    assert coloured_noise(context, pair) is None
 
 
 @pytest.mark.usefixtures("without_gains")

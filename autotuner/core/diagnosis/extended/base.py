@@ -225,7 +225,10 @@ def _ringing(dataset: Dataset, structure: Structure) -> list[tuple[float, float]
 
 
 def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: GainPrior) -> list[Fitted]:
-    """Return where extended models start: the free pair, pairs of parts of the record, another structure."""
+    """Return where extended models start: the free pair, pairs of parts of the record, another structure.
+
+    A pair that outlasts the record comes last, and what integrates there first.
+    """
     pair = next((f for f in fits if f.problem.structure is SECOND_ORDER), None)
     if pair is None:
         return [best]
