@@ -104,7 +104,10 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
 
 
 def _integrating(context: FitContext, chosen: Fitted) -> Fitted:
-    """Return the explanation with an integrator in place of a lag that outlasts the record, where that is as good."""
+    """Return the explanation with an integrator in place of a lag that outlasts the record, where that is as good.
+
+    An effect that changes the response of the process (a loss, a recycle) is one of its lags, and keeps them.
+    """
     problem = chosen.problem
     plainer = INTEGRATORS.get(problem.structure)
     if plainer is None or not outlasts_the_record(chosen) or any(e.response is not None for e in problem.effects):
