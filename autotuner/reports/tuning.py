@@ -156,9 +156,18 @@ def _measured(result: Mapping[str, Any], recording: Recording, model: ProcessMod
     unfitted = unfitted_span(recording, until_s)
     if unfitted:
         caption += f" No model was fitted from {number(until_s)} s on: there the model is a prediction."
+    beside = _effects_beside(result)
+    if beside:
+        caption += f" The model is the process without {beside}; the picture before and after has both."
     spans = [*_spans(recording), *unfitted]
     drawn = Chart(t, panels, "Measured PV against the model, the output, and the residual", spans)
     return Section("Measured against model", [Picture(drawn, caption)])
+
+
+def _effects_beside(result: Mapping[str, Any]) -> str:
+    """Return the effects without which the recommended model is not that of the record; empty without any."""
+    found = result["diagnosis"]["effects"] if result.get("recommended") == "diagnosis" else []
+    return " and ".join(effect["name"].replace("_", " ") for effect in found)
 
 
 def _fitted_until_s(result: Mapping[str, Any], recording: Recording, setting: Setting) -> float:

@@ -60,8 +60,8 @@ export function modelCard(result, units) {
 
 const SEGMENTS = { relay: "relay", half_relay: "check", staircase: "check", tail: "check" };
 
-/** Measured against model, the output, and the residual. */
-export function fitCard(curves, units) {
+/** Measured against model, the output, and the residual; the model is the process without the effects `beside` it. */
+export function fitCard(curves, units, beside = []) {
   const unit = (name, text) => (text ? `${name}, ${text}` : name);
   const panels = [
     { title: unit("PV", units.pv), weight: 2.4, series: [
@@ -75,6 +75,7 @@ export function fitCard(curves, units) {
   chart.phases = segmentsOf(curves);
   chart.draw();
   return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
+    beside.length ? h("p", { class: "small muted" }, `The model is the process without ${beside.map(({ name }) => name.replaceAll("_", " ")).join(" and ")}; the picture before and after has both.`) : null,
     h("p", { class: "small muted" }, "Point at the picture for values; drag over it to zoom, double-click to see all. Keys: arrows, +, −, 0."));
 }
 
