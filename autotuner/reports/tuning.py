@@ -158,14 +158,14 @@ def _measured(result: Mapping[str, Any], recording: Recording, model: ProcessMod
         caption += f" No model was fitted from {number(until_s)} s on: there the model is a prediction."
     beside = _effects_beside(result)
     if beside:
-        caption += f" The model is the process without {beside}; the picture before and after has both."
+        caption += f" The model here is the process alone, without {beside}."
     spans = [*_spans(recording), *unfitted]
     drawn = Chart(t, panels, "Measured PV against the model, the output, and the residual", spans)
     return Section("Measured against model", [Picture(drawn, caption)])
 
 
 def _effects_beside(result: Mapping[str, Any]) -> str:
-    """Return the effects without which the recommended model is not that of the record; empty without any."""
+    """Return the effects that belong to the recommended process and are not drawn with it; empty without any."""
     found = result["diagnosis"]["effects"] if result.get("recommended") == "diagnosis" else []
     return " and ".join(effect["name"].replace("_", " ") for effect in found)
 

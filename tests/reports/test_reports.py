@@ -115,7 +115,7 @@ def test_the_worn_valve_of_the_page_is_found_out(worn_valve, pytestconfig):
 
 def test_a_model_that_is_drawn_without_its_effects_is_said_to_be(worn_valve):
     words = "|".join(Reader(worn_valve[1]).words)
-    assert "The model is the process without backlash; the picture before and after has both." in words
+    assert "The model here is the process alone, without backlash." in words
 
 
 def test_settings_and_margins_of_a_report_are_written_for_people(worn_valve):

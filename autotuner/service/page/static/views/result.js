@@ -75,7 +75,7 @@ export function fitCard(curves, units, beside = []) {
   chart.phases = segmentsOf(curves);
   chart.draw();
   return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
-    beside.length ? h("p", { class: "small muted" }, `The model is the process without ${beside.map(({ name }) => name.replaceAll("_", " ")).join(" and ")}; the picture before and after has both.`) : null,
+    beside.length ? h("p", { class: "small muted" }, `The model here is the process alone, without ${beside.map(({ name }) => name.replaceAll("_", " ")).join(" and ")}.`) : null,
     h("p", { class: "small muted" }, "Point at the picture for values; drag over it to zoom, double-click to see all. Keys: arrows, +, −, 0."));
 }
 
