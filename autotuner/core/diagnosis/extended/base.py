@@ -47,6 +47,8 @@ SETTLING: tuple[Structure, ...] = (FOPDT, SECOND_ORDER)
 OTHERS: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING, UNSTABLE)
 OPEN_ENDED: tuple[Structure, ...] = (PURE_INTEGRATOR, INTEGRATING)
 """Structures of these for a record that is not an experiment: over such a record, an unstable one diverges."""
+INTEGRATORS = {FOPDT: PURE_INTEGRATOR, SECOND_ORDER: INTEGRATING}
+"""What a process is whose slowest lag, the first of its numbers, is an integrator."""
 FAMILY: dict[str, Structure] = {
     "fopdt": FOPDT,
     "sopdt_overdamped": SECOND_ORDER,
@@ -238,17 +240,21 @@ def _origins(context: FitContext, fits: Sequence[Fitted], best: Fitted, prior: G
         origins += [_of_one_lag(context, f) for f in fits if f.problem.structure is FOPDT and _is_lightly_damped(pair)]
     integrating = next((f for f in fits if f.problem.structure is INTEGRATING), None)
     if integrating is not None and outlasts_the_record(pair):
-        return [*_distinct([integrating, *(_as_it_shows(o, integrating) for o in origins[1:])]), pair]
+        return [*_distinct([integrating, *map(_as_it_shows, origins[1:])]), pair]
     others = [f for f in fits if f.problem.structure in OTHERS]
     better = [f for f in others if f.rms < (FAR if f.problem.structure is UNSTABLE else BETTER) * pair.rms]
     return [*_distinct(origins), *closest_first(better)[:1]]
 
 
-def _as_it_shows(origin: Fitted, integrating: Fitted) -> Fitted:
+def _as_it_shows(origin: Fitted) -> Fitted:
     """Return a pair that outlasts the record as what it is there, of which many pairs are alike: an integrator."""
-    if not outlasts_the_record(origin):
-        return origin
-    return fit(replace(integrating.problem, rows=origin.problem.rows), origin.theta[1:], 0)
+    return with_integrator(origin, 0) if outlasts_the_record(origin) else origin
+
+
+def with_integrator(settling: Fitted, steps: int) -> Fitted:
+    """Return a process, with its effects, fitted with an integrator in place of its slowest lag."""
+    problem = replace(settling.problem, structure=INTEGRATORS[settling.problem.structure])
+    return fit(problem, settling.theta[1:], steps)
 
 
 def _is_lightly_damped(pair: Fitted) -> bool:

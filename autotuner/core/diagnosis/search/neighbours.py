@@ -94,8 +94,14 @@ def _as_plain(chosen: Fitted, other: Fitted) -> Fitted:
     problem = other.problem
     if chosen.problem.structure is not FOPDT or problem.structure is not SECOND_ORDER:
         return other
-    single = fit(replace(problem, structure=FOPDT), np.delete(other.theta, 1), FINE_STEPS)
+    single = with_one_lag(other)
     return single if is_physical(single) else other
+
+
+def with_one_lag(explanation: Fitted) -> Fitted:
+    """Return an explanation with a pair of lags, fitted with the first one only."""
+    problem = replace(explanation.problem, structure=FOPDT)
+    return fit(problem, np.delete(explanation.theta, 1), FINE_STEPS)
 
 
 def _is_split(candidate: Fitted) -> bool:

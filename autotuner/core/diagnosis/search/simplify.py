@@ -18,12 +18,9 @@ lags -> three, which is no effect, but whose absence biases the gain by many of 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import lru_cache
 from itertools import permutations
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from autotuner.core.diagnosis.effects.actuator.friction import SLIPS
 from autotuner.core.diagnosis.effects.actuator.levels import step_grids
@@ -32,14 +29,14 @@ from autotuner.core.diagnosis.effects.disturbance import curved_drift
 from autotuner.core.diagnosis.effects.process.shaped_stores import shaped_stores
 from autotuner.core.diagnosis.effects.process.state_limits import STORES
 from autotuner.core.diagnosis.effects.waves import SLOW_WAVE
-from autotuner.core.diagnosis.extended.base import is_physical, outlasts_the_record
+from autotuner.core.diagnosis.extended.base import INTEGRATORS, is_physical, outlasts_the_record, with_integrator
 from autotuner.core.diagnosis.extended.coloured_noise import coloured_noise
 from autotuner.core.diagnosis.extended.extended_model import closest_first
 from autotuner.core.diagnosis.extended.fitting import fit
 from autotuner.core.diagnosis.search.acceptance import that_stick
 from autotuner.core.diagnosis.search.exchange import closest_exchanged, exchanged, in_near_forms, values_of
 from autotuner.core.diagnosis.search.judge import GAIN, MUCH_BETTER, is_near_noise, is_shown, weigh
-from autotuner.core.diagnosis.search.neighbours import one_lag_more
+from autotuner.core.diagnosis.search.neighbours import one_lag_more, with_one_lag
 from autotuner.core.diagnosis.search.screen import fits_beside
 from autotuner.core.diagnosis.search.search import (
     AS_NEAR,
@@ -50,7 +47,7 @@ from autotuner.core.diagnosis.search.search import (
     has_several,
     without,
 )
-from autotuner.core.model.structures import FOPDT, INTEGRATING, PURE_INTEGRATOR, SECOND_ORDER
+from autotuner.core.model.structures import SECOND_ORDER
 from autotuner.core.signals.noise import rms
 
 if TYPE_CHECKING:
@@ -59,7 +56,6 @@ if TYPE_CHECKING:
     from autotuner.core.diagnosis.extended.effect import Effect
     from autotuner.core.diagnosis.extended.extended_model import Fitted
     from autotuner.core.diagnosis.extended.fit_context import FitContext
-    from autotuner.core.model.arrays import FloatArray
 
 MOMENT = "moment"
 """Name of the searched number that is the time of a change, as a share of the record."""
@@ -86,8 +82,6 @@ CURVES = frozenset({"static_nonlinearity", "direction_gain", "saturation"})
 """Effects that give each level of the output another one, as steps do."""
 RICH = 2
 """Numbers of the forms of friction that plain play may replace."""
-INTEGRATORS = {FOPDT: PURE_INTEGRATOR, SECOND_ORDER: INTEGRATING}
-"""What a process is whose slowest lag, the first of its numbers, is an integrator."""
 
 
 def simplest(context: FitContext, chosen: Fitted) -> Fitted:
@@ -99,7 +93,7 @@ def simplest(context: FitContext, chosen: Fitted) -> Fitted:
     if not problem.effects or problem.fixed is not None:
         return chosen
     if problem.structure is SECOND_ORDER:
-        chosen = _plainer(context, chosen, fit(replace(problem, structure=FOPDT), _without(chosen, 1), FINE_STEPS))
+        chosen = _plainer(context, chosen, with_one_lag(chosen))
     return _integrating(context, chosen)
 
 
@@ -109,16 +103,10 @@ def _integrating(context: FitContext, chosen: Fitted) -> Fitted:
     An effect that changes the response of the process (a loss, a recycle) is one of its lags, and keeps them.
     """
     problem = chosen.problem
-    plainer = INTEGRATORS.get(problem.structure)
-    if plainer is None or not outlasts_the_record(chosen) or any(e.response is not None for e in problem.effects):
+    settles = problem.structure in INTEGRATORS and not any(e.response is not None for e in problem.effects)
+    if not settles or not outlasts_the_record(chosen):
         return chosen
-    return _plainer(context, chosen, fit(replace(problem, structure=plainer), _without(chosen, 0), FINE_STEPS))
-
-
-def _without(chosen: Fitted, number: int) -> FloatArray:
-    """Return the numbers of an explanation without one of the process's."""
-    theta: FloatArray = np.delete(chosen.theta, number)
-    return theta
+    return _plainer(context, chosen, with_integrator(chosen, FINE_STEPS))
 
 
 def with_third_lag(context: FitContext, chosen: Fitted) -> Fitted:

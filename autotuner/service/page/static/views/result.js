@@ -4,6 +4,9 @@ import { Chart } from "../chart.js";
 import { facts, h, number, plusMinus, table } from "../dom.js";
 import { acting } from "./loop.js";
 
+/** Names of effects in one phrase. */
+export const joined = (names) => names.map((name) => name.replaceAll("_", " ")).join(" and ");
+
 const STRUCTURES = {
   fopdt: "first order with dead time", sopdt_overdamped: "second order with dead time, overdamped", sopdt_underdamped: "second order with dead time, underdamped",
   integrating: "integrating with dead time", unstable_fopdt: "unstable, first order with dead time", inverse_response: "inverse response with dead time", inverse_response_underdamped: "inverse response beside a damped pair",
@@ -60,7 +63,7 @@ export function modelCard(result, units) {
 
 const SEGMENTS = { relay: "relay", half_relay: "check", staircase: "check", tail: "check" };
 
-/** Measured against model, the output, and the residual; the model is the process without the effects `beside` it. */
+/** Measured against model, the output, and the residual; the model is the process without the effects, by name, `beside` it. */
 export function fitCard(curves, units, beside = []) {
   const unit = (name, text) => (text ? `${name}, ${text}` : name);
   const panels = [
@@ -75,7 +78,7 @@ export function fitCard(curves, units, beside = []) {
   chart.phases = segmentsOf(curves);
   chart.draw();
   return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
-    beside.length ? h("p", { class: "small muted" }, `The model here is the process alone, without ${beside.map(({ name }) => name.replaceAll("_", " ")).join(" and ")}.`) : null,
+    beside.length ? h("p", { class: "small muted" }, `The model here is the process alone, without ${joined(beside)}.`) : null,
     h("p", { class: "small muted" }, "Point at the picture for values; drag over it to zoom, double-click to see all. Keys: arrows, +, −, 0."));
 }
 
@@ -119,7 +122,7 @@ function responses(choices, units) {
   const told = choices[0]?.responses ?? {};
   const size = (value, text) => `${number(value)}${text && ` ${text}`}`;
   const pictures = [["step", `Step of the set point by ${size(told.set_point_step, units.pv)}`, "The PV follows the set point"], ["load", `Step of the load by ${size(told.load_step, units.output)}`, "The PV after a load"]];
-  const beside = told.effects?.length ? h("p", { class: "small muted" }, `Predicted with ${told.effects.map((name) => name.replaceAll("_", " ")).join(" and ")}, as the diagnosis found it.`) : null;
+  const beside = told.effects?.length ? h("p", { class: "small muted" }, `Predicted with ${joined(told.effects)}, as the diagnosis found it.`) : null;
   return h("div", {}, beside, h("div", { class: "split even" }, pictures.map(([what, title, label]) => {
     const series = (part) => choices.map((choice) => ({ key: `${choice.name}_${part}`, label: part === "pv" ? choice.name : "", colour: `--c-${colours.includes(choice.name) ? choice.name : "rule"}` }));
     const chart = new Chart([{ title: unit("PV", units.pv), weight: 1.5, series: series("pv") }, { title: unit("output", units.output), series: series("output") }], { label, height: 290 });

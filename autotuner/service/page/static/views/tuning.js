@@ -50,7 +50,7 @@ async function ended(place, id, loop, signal) {
   const put = (where, path, card) => get(`/v1/tunings/${encodeURIComponent(id)}/${path}`, signal).then((told) => fill(where, card(told)), (error) => signal.aborted || fill(where, problemBox(error)));
   await Promise.all([
     gains && put(gains, "choices", ({ choices }) => { if (choices.length) device?.offer(choices); return gainsCard(choices, units); }),
-    picture && put(picture, "curves", (curves) => fitCard(curves, units, tuning.recommended === "diagnosis" ? tuning.diagnosis.effects : [])),
+    picture && put(picture, "curves", (curves) => fitCard(curves, units, tuning.recommended === "diagnosis" ? tuning.diagnosis.effects.map(({ name }) => name) : [])),
     explained && put(explained, "before-after", (curves) => beforeAfterCard(curves, units))]);
 }
 
