@@ -2,7 +2,7 @@
 
 import { Chart } from "../chart.js";
 import { h, number, plusMinus, table } from "../dom.js";
-import { joined, unitOf } from "./result.js";
+import { listed, unitOf } from "./result.js";
 
 const LOOKS = { adequate: "done", explained: "refused", partly_explained: "failed", unexplained: "failed" };
 const TITLES = { adequate: "Adequate: nothing is missing that this record can show", explained: "Explained: the record shows physics that the model lacks", partly_explained: "Partly explained: the effects below are hypotheses; model and gains are those without them", unexplained: "Unexplained: something is missing, and no known effect accounts for it" };
@@ -27,7 +27,7 @@ export function diagnosisCard(diagnosis, units) {
 export function otherGains({ diagnosis, model }) {
   const after = diagnosis?.model?.after, gains = diagnosis?.gains?.after?.gains;
   if (diagnosis?.verdict !== "explained" || !gains || !model || Object.keys(model).every((name) => Math.abs(after[name] - model[name]) <= 1e-9 * Math.abs(model[name]))) return null;
-  const names = joined(diagnosis.effects.map(({ name }) => name));
+  const names = listed(diagnosis.effects.map(({ name }) => name));
   const given = ["Kp", "Ti", "Td"].filter((name) => gains[name]).map((name) => `${name} ${number(gains[name])}${name === "Kp" ? "" : " s"}`).join(", ");
   return h("p", { class: "notice refused" }, `These gains follow from the model without ${names}. With it, those of the goal ${diagnosis.gains.after.goal} are ${given}.`);
 }
@@ -35,7 +35,7 @@ export function otherGains({ diagnosis, model }) {
 /** One line for the head of a result: what was found, and where to read on. */
 export function diagnosisLine(diagnosis) {
   if (!diagnosis || diagnosis.verdict === "adequate") return null;
-  const names = joined(diagnosis.effects.map(({ name }) => name));
+  const names = listed(diagnosis.effects.map(({ name }) => name));
   const text = diagnosis.verdict === "explained" ? `The record shows ${names}, which the model lacks: ${diagnosis.summary}. ` : "The record shows something that no known effect accounts for. ";
   const jump = (event) => { event.preventDefault(); document.getElementById("diagnosis")?.scrollIntoView({ behavior: "smooth" }); };
   return h("p", { class: `notice ${LOOKS[diagnosis.verdict]}` }, text, h("a", { href: location.hash, onclick: jump }, "To the diagnosis"));

@@ -5,7 +5,7 @@ import { facts, h, number, plusMinus, table } from "../dom.js";
 import { acting } from "./loop.js";
 
 /** Names of effects in one phrase. */
-export const joined = (names) => names.map((name) => name.replaceAll("_", " ")).join(" and ");
+export const listed = (names) => names.map((name) => name.replaceAll("_", " ")).join(" and ");
 
 const STRUCTURES = {
   fopdt: "first order with dead time", sopdt_overdamped: "second order with dead time, overdamped", sopdt_underdamped: "second order with dead time, underdamped",
@@ -78,7 +78,7 @@ export function fitCard(curves, units, beside = []) {
   chart.phases = segmentsOf(curves);
   chart.draw();
   return h("section", { class: "card", "aria-label": "Measured against model" }, h("h2", {}, curves.model ? "Measured against model" : "Recording"), chart.element,
-    beside.length ? h("p", { class: "small muted" }, `The model here is the process alone, without ${joined(beside)}.`) : null,
+    beside.length ? h("p", { class: "small muted" }, `The model here is the process alone, without ${listed(beside)}.`) : null,
     h("p", { class: "small muted" }, "Point at the picture for values; drag over it to zoom, double-click to see all. Keys: arrows, +, −, 0."));
 }
 
@@ -122,7 +122,7 @@ function responses(choices, units) {
   const told = choices[0]?.responses ?? {};
   const size = (value, text) => `${number(value)}${text && ` ${text}`}`;
   const pictures = [["step", `Step of the set point by ${size(told.set_point_step, units.pv)}`, "The PV follows the set point"], ["load", `Step of the load by ${size(told.load_step, units.output)}`, "The PV after a load"]];
-  const beside = told.effects?.length ? h("p", { class: "small muted" }, `Predicted with ${joined(told.effects)}, as the diagnosis found it.`) : null;
+  const beside = told.effects?.length ? h("p", { class: "small muted" }, `Predicted with ${listed(told.effects)}, as the diagnosis found it.`) : null;
   return h("div", {}, beside, h("div", { class: "split even" }, pictures.map(([what, title, label]) => {
     const series = (part) => choices.map((choice) => ({ key: `${choice.name}_${part}`, label: part === "pv" ? choice.name : "", colour: `--c-${colours.includes(choice.name) ? choice.name : "rule"}` }));
     const chart = new Chart([{ title: unit("PV", units.pv), weight: 1.5, series: series("pv") }, { title: unit("output", units.output), series: series("output") }], { label, height: 290 });
